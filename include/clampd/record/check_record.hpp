@@ -1,0 +1,90 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "clampd/record/run.hpp"
+#include "clampd/record/sample.hpp"
+
+namespace clampd {
+
+enum class Verdict : std::uint8_t { Pass, Fail, Error, Timeout, Aborted };
+std::string_view to_string(Verdict verdict) noexcept;  ///< "PASS", "FAIL", "ERROR", "TIMEOUT", "ABORTED"
+
+enum class ParameterVerdict : std::uint8_t { Pass, Marginal, Fail };
+std::string_view to_string(ParameterVerdict verdict) noexcept;  ///< "pass", "marginal", "fail"
+
+/// One identified parameter against its limits, all in `unit`.
+struct ParameterRecord {
+  std::string name;
+  std::string unit;
+  double value = 0.0;
+  double sd = 0.0;
+  double lower = 0.0;
+  double upper = 0.0;
+  ParameterVerdict verdict = ParameterVerdict::Fail;
+};
+
+/// Wake-up lateness of the loop, in cyclictest's words, and what it missed.
+struct TimingRecord {
+  std::uint64_t ticks = 0;
+  std::uint64_t skipped = 0;
+  std::uint64_t lost_samples = 0;
+  double lateness_min_us = 0.0;
+  double lateness_avg_us = 0.0;
+  double lateness_max_us = 0.0;
+  std::vector<std::uint64_t> lateness_histogram;  ///< ticks per microsecond of lateness; the last bin takes the rest
+  double bus_load = 0.0;                          ///< measured share of the bus's bits, 0..1; 0 where there is no wire
+};
+
+/// One repeat of the trajectory: the data, and how well they were tracked and fitted.
+struct RunRecord {
+  Run run;
+  double tracking_rms_N = 0.0;      ///< measured force minus reference
+  double tracking_max_N = 0.0;
+  double fit_force_rms_N = 0.0;
+  double fit_velocity_rms_rad_s = 0.0;
+  std::vector<double> estimate;     ///< the seven parameters from this run alone, SI, in the table's order
+  bool converged = false;
+  std::string checksum_sha256;      ///< of format_run(run)
+};
+
+/// Everything the trade expects in the record of one check (traceability first).
+struct CheckRecord {
+  std::string id;  ///< unique, sortable by time
+  std::string serial;
+  std::string part_number;
+  std::string batch;
+  std::string station;
+  std::string fixture;
+  std::string operator_name;
+  std::string software_version;
+  std::string limits_file;
+  std::string limits_revision;
+  std::string limits_sha256;
+  std::string trajectory_sha256;
+  std::string instruments;  ///< JSON array as configured: name, serial, calibration date
+  bool simulated = false;   ///< the brake was a simulated one: such a result says nothing about hardware
+  std::string started;      ///< RFC 3339, UTC
+  std::string stopped;      ///< RFC 3339, UTC
+  double duration_s = 0.0;  ///< bench time
+  std::uint32_t repeats = 0;
+
+  Verdict verdict = Verdict::Error;
+  bool marginal = false;
+  std::string reason;  ///< one sentence a technician understands
+  FaultCause fault = FaultCause::None;
+
+  std::vector<ParameterRecord> parameters;
+  std::vector<double> covariance_normalised;  ///< 7 x 7, row-major; empty where there is no fit
+  double noise_force_N = 0.0;
+  double noise_velocity_rad_s = 0.0;
+  double tracking_rms_N = 0.0;  ///< over all repeats
+  TimingRecord timing;
+  std::vector<RunRecord> runs;
+  std::vector<Sample> flight_recorder;  ///< the last samples before a fault
+};
+
+}  // namespace clampd

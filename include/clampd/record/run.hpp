@@ -1,0 +1,44 @@
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "clampd/base/result.hpp"
+
+namespace clampd {
+
+/// One recorded run: contiguous arrays of equal length n, SI units.
+/// Row k holds the readings at time_s[k]; torque_Nm[k] acts from there until the next row.
+struct Run {
+  std::string name;  ///< file name or "repeat 3": used in messages
+  std::vector<double> time_s;
+  std::vector<double> torque_Nm;
+  std::vector<double> velocity_rad_s;
+  std::vector<double> force_N;
+  std::vector<double> position_rad;  ///< empty where the rig has no position reading
+
+  std::size_t size() const { return time_s.size(); }
+};
+
+/// A run as read from a file, and what a careful reader would tell its user about it.
+struct LoadedRun {
+  Run run;
+  std::vector<std::string> notices;  ///< e.g. columns that were ignored
+};
+
+/// Reads a CSV run file with the header of docs `time_s,torque_Nm,velocity_rad_s,force_N[,position_rad]`,
+/// columns in any order. Errors name file, line and column: file missing or empty, column missing or twice,
+/// a field that is not a finite number, a time that does not increase, a row of the wrong length.
+Result<LoadedRun> read_run(const std::string& path);
+
+/// The same from text; `name` stands for the file in messages.
+Result<LoadedRun> parse_run(const std::string& text, const std::string& name);
+
+/// CSV text with 17 significant digits at most, so that reading it back gives the same doubles.
+std::string format_run(const Run& run);
+
+/// Writes to a temporary file beside `path` and renames it: nothing half-written is ever left at `path`.
+Result<void> write_run(const std::string& path, const Run& run);
+
+}  // namespace clampd
