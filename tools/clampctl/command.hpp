@@ -1,0 +1,25 @@
+#pragma once
+
+#include <string>
+
+#include <CLI/App.hpp>
+
+#include "tools/cli/exit_code.hpp"
+
+namespace clampd::ctl {
+
+/// Options that every command understands.
+struct CommonOptions {
+  std::string config;  ///< station configuration; empty: the installed one if there is one
+};
+
+/// Each command declares its own options on `app` and leaves its exit code in `exit_code` when it runs.
+void add_run_command(CLI::App& app, const CommonOptions& common, int& exit_code);
+void add_identify_command(CLI::App& app, int& exit_code);
+void add_design_command(CLI::App& app, int& exit_code);
+void add_simulate_command(CLI::App& app, int& exit_code);
+void add_station_commands(CLI::App& app, const CommonOptions& common, int& exit_code);  ///< status, stop, clear
+void add_results_command(CLI::App& app, const CommonOptions& common, int& exit_code);
+void add_doctor_command(CLI::App& app, const CommonOptions& common, int& exit_code);
+
+}  // namespace clampd::ctl
