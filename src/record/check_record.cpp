@@ -4,20 +4,28 @@ namespace clampd {
 
 std::string_view to_string(Verdict verdict) noexcept {
   switch (verdict) {
-    case Verdict::Pass: return "PASS";
-    case Verdict::Fail: return "FAIL";
-    case Verdict::Error: return "ERROR";
-    case Verdict::Timeout: return "TIMEOUT";
-    case Verdict::Aborted: return "ABORTED";
+    case Verdict::Pass:
+      return "PASS";
+    case Verdict::Fail:
+      return "FAIL";
+    case Verdict::Error:
+      return "ERROR";
+    case Verdict::Timeout:
+      return "TIMEOUT";
+    case Verdict::Aborted:
+      return "ABORTED";
   }
   return "?";
 }
 
 std::string_view to_string(ParameterVerdict verdict) noexcept {
   switch (verdict) {
-    case ParameterVerdict::Pass: return "pass";
-    case ParameterVerdict::Marginal: return "marginal";
-    case ParameterVerdict::Fail: return "fail";
+    case ParameterVerdict::Pass:
+      return "pass";
+    case ParameterVerdict::Marginal:
+      return "marginal";
+    case ParameterVerdict::Fail:
+      return "fail";
   }
   return "?";
 }

@@ -1,0 +1,204 @@
+#include "clampd/record/run.hpp"
+
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <cstdlib>
+#include <iterator>
+#include <optional>
+#include <string_view>
+
+#include <fmt/format.h>
+
+#include "clampd/record/file.hpp"
+
+namespace clampd {
+namespace {
+
+struct Column {
+  std::string_view name;
+  std::vector<double> Run::*values;
+  bool required;
+};
+
+constexpr std::array<Column, 5> kColumns{{
+    {"time_s", &Run::time_s, true},
+    {"torque_Nm", &Run::torque_Nm, true},
+    {"velocity_rad_s", &Run::velocity_rad_s, true},
+    {"force_N", &Run::force_N, true},
+    {"position_rad", &Run::position_rad, false},
+}};
+
+struct Field {
+  std::string_view text;   ///< trimmed, without quotes
+  std::size_t column = 1;  ///< 1-based character in its line
+};
+
+std::string_view trim(std::string_view text) {
+  constexpr std::string_view kBlank = " \t\r";
+  const std::size_t first = text.find_first_not_of(kBlank);
+  if (first == std::string_view::npos) return {};
+  return text.substr(first, text.find_last_not_of(kBlank) - first + 1);
+}
+
+/// What a message can show of a text that may be long or binary.
+std::string shown(std::string_view text) {
+  constexpr std::size_t kLongest = 40;
+  std::string result;
+  for (const char c : text.substr(0, kLongest))
+    result += static_cast<unsigned char>(c) < 0x20 || c == 0x7f ? '?' : c;
+  if (text.size() > kLongest) result += "...";
+  return result;
+}
+
+void split(std::string_view line, std::vector<Field>& fields) {
+  fields.clear();
+  std::size_t start = 0;
+  while (true) {
+    const std::size_t comma = line.find(',', start);
+    const std::string_view raw = line.substr(start, comma == std::string_view::npos ? comma : comma - start);
+    std::string_view text = trim(raw);
+    Field field;
+    field.column = 1 + (text.empty() ? start : static_cast<std::size_t>(text.data() - line.data()));
+    if (text.size() >= 2 && text.front() == '"' && text.back() == '"')
+      text = trim(text.substr(1, text.size() - 2));
+    field.text = text;
+    fields.push_back(field);
+    if (comma == std::string_view::npos) return;
+    start = comma + 1;
+  }
+}
+
+std::optional<double> parse_number(std::string_view text) {
+  if (text.size() > 1 && text.front() == '+' && text[1] != '-') text.remove_prefix(1);
+  double value = 0.0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value)) return std::nullopt;
+  return value;
+}
+
+class LineReader {
+ public:
+  explicit LineReader(std::string_view text) : rest_(text) {
+    if (rest_.substr(0, 3) == "\xEF\xBB\xBF") rest_.remove_prefix(3);
+    while (!rest_.empty() && (trim(rest_.substr(rest_.size() - 1)).empty() || rest_.back() == '\n'))
+      rest_.remove_suffix(1);  // blank lines at the end
+  }
+
+  bool next(std::string_view& line) {
+    if (rest_.empty()) return false;
+    const std::size_t end = rest_.find('\n');
+    line = rest_.substr(0, end);
+    rest_.remove_prefix(end == std::string_view::npos ? rest_.size() : end + 1);
+    ++number_;
+    return true;
+  }
+
+  std::size_t number() const { return number_; }
+
+ private:
+  std::string_view rest_;
+  std::size_t number_ = 0;
+};
+
+void append_number(std::string& text, double value) {
+  std::array<char, 32> buffer;  // the shortest form that reads back the same never needs more than 24
+  const auto [end, error] = std::to_chars(buffer.data(), buffer.data() + buffer.size(), value);
+  static_cast<void>(error);
+  text.append(buffer.data(), end);
+}
+
+}  // namespace
+
+Result<LoadedRun> parse_run(const std::string& text, const std::string& name) {
+  LineReader lines(text);
+  std::string_view line;
+  if (!lines.next(line))
+    return failure(fmt::format(
+        "{}:1:1: the file is empty; expected a header with time_s,torque_Nm,velocity_rad_s,force_N", name));
+  const auto at = [&](std::size_t column, std::string_view message) {
+    return failure(fmt::format("{}:{}:{}: {}", name, lines.number(), column, message));
+  };
+
+  std::vector<Field> header;
+  split(line, header);
+  if (header.size() == 1 && line.find_first_of(";\t") != std::string_view::npos)
+    return at(1 + line.find_first_of(";\t"), "columns must be separated by commas");
+
+  LoadedRun loaded;
+  loaded.run.name = name;
+  std::vector<std::vector<double>*> targets(header.size(), nullptr);
+  for (const Column& column : kColumns) {
+    std::size_t found = header.size();
+    for (std::size_t i = 0; i < header.size(); ++i) {
+      if (header[i].text != column.name) continue;
+      if (found != header.size())
+        return at(header[i].column, fmt::format("column {} appears twice", column.name));
+      found = i;
+    }
+    if (found != header.size()) {
+      targets[found] = &(loaded.run.*column.values);
+    } else if (column.required) {
+      return at(1, fmt::format("column {} is missing; the header is \"{}\"", column.name, shown(trim(line))));
+    }
+  }
+  for (std::size_t i = 0; i < header.size(); ++i)
+    if (targets[i] == nullptr)
+      loaded.notices.push_back(
+          fmt::format("{}:1:{}: column \"{}\" is ignored", name, header[i].column, shown(header[i].text)));
+
+  std::vector<Field> fields;
+  fields.reserve(header.size());
+  while (lines.next(line)) {
+    if (trim(line).empty()) return at(1, "an empty line between rows");
+    split(line, fields);
+    if (fields.size() != header.size())
+      return at(fields.size() > header.size() ? fields[header.size()].column : line.size() + 1,
+                fmt::format("the row has {} fields, the header {}", fields.size(), header.size()));
+    for (std::size_t i = 0; i < fields.size(); ++i) {
+      if (targets[i] == nullptr) continue;
+      const std::optional<double> value = parse_number(fields[i].text);
+      if (!value)
+        return at(fields[i].column,
+                  fmt::format("{} is not a finite number: \"{}\"", header[i].text, shown(fields[i].text)));
+      if (targets[i] == &loaded.run.time_s && !loaded.run.time_s.empty() &&
+          *value <= loaded.run.time_s.back())
+        return at(fields[i].column,
+                  fmt::format("time_s does not increase: {} after {}", *value, loaded.run.time_s.back()));
+      targets[i]->push_back(*value);
+    }
+  }
+  if (loaded.run.size() == 0)
+    return failure(fmt::format("{}:{}:1: the file has a header and no rows", name, lines.number() + 1));
+  return loaded;
+}
+
+Result<LoadedRun> read_run(const std::string& path) {
+  return read_file(path).and_then([&](const std::string& text) { return parse_run(text, path); });
+}
+
+std::string format_run(const Run& run) {
+  const bool has_position = !run.position_rad.empty();
+  std::string text = "time_s,torque_Nm,velocity_rad_s,force_N";
+  text += has_position ? ",position_rad\n" : "\n";
+  text.reserve(text.size() + run.size() * 90);
+  for (std::size_t i = 0; i < run.size(); ++i) {
+    append_number(text, run.time_s[i]);
+    for (const std::vector<double>* values : {&run.torque_Nm, &run.velocity_rad_s, &run.force_N}) {
+      text += ',';
+      append_number(text, (*values)[i]);
+    }
+    if (has_position) {
+      text += ',';
+      append_number(text, run.position_rad[i]);
+    }
+    text += '\n';
+  }
+  return text;
+}
+
+Result<void> write_run(const std::string& path, const Run& run) {
+  return write_file_atomically(path, format_run(run));
+}
+
+}  // namespace clampd
