@@ -18,11 +18,11 @@ inline constexpr std::size_t kParameterCount = 7;
 enum Parameter : std::size_t { k1, k2, TC, Ts0, Tv, mus, ws };
 
 struct ParameterInfo {
-  std::string_view name;         ///< as in every file and JSON document
+  std::string_view name;  ///< as in every file and JSON document
   std::string_view unit;
   std::string_view description;
-  double nominal;                ///< the paper's Table I; also the normalisation (11)
-  double lower;                  ///< physically sensible bounds for an estimate
+  double nominal;  ///< the paper's Table I; also the normalisation (11)
+  double lower;    ///< physically sensible bounds for an estimate
   double upper;
 };
 
@@ -38,7 +38,8 @@ inline constexpr std::array<ParameterInfo, kParameterCount> kParameterTable{{
 }};
 
 using ParameterVector = Eigen::Matrix<double, static_cast<int>(kParameterCount), 1>;
-using ParameterMatrix = Eigen::Matrix<double, static_cast<int>(kParameterCount), static_cast<int>(kParameterCount)>;
+using ParameterMatrix =
+    Eigen::Matrix<double, static_cast<int>(kParameterCount), static_cast<int>(kParameterCount)>;
 
 /// theta_nom of (11).
 ParameterVector nominal_parameters();
@@ -59,8 +60,8 @@ struct BrakeParameters {
 };
 
 /// Reads the tables [parameters] (k1 ... ws, SI) or [parameters_normalised] (times nominal), and [fixed]
-/// (inertia_kg_m2, ratio_m_rad) of a TOML file; what is not named stays nominal. Other tables are ignored, unknown
-/// keys inside of these are errors, as are values outside of the parameter table's bounds.
+/// (inertia_kg_m2, ratio_m_rad) of a TOML file; what is not named stays nominal. Other tables are ignored,
+/// unknown keys inside of these are errors, as are values outside of the parameter table's bounds.
 Result<BrakeParameters> read_brake_parameters(const std::string& path);
 
 }  // namespace clampd

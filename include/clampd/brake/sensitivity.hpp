@@ -1,0 +1,166 @@
+#pragma once
+
+#include <cmath>
+
+#include "clampd/brake/integrator.hpp"
+
+namespace clampd {
+
+/// Derivatives of a state, one column each, in the order: the model's parameters (per SI unit), the initial
+/// position, the initial velocity, the torque reading (a constant added to it over the whole time
+/// propagated).
+template <int kParameters>
+struct Tangent {
+  static constexpr int kColumns = kParameters + 3;
+  static constexpr int kPosition = kParameters;
+  static constexpr int kVelocity = kParameters + 1;
+  static constexpr int kTorque = kParameters + 2;
+
+  using Columns = Eigen::Array<double, kColumns, 1>;
+  Columns position = Columns::Zero();
+  Columns velocity = Columns::Zero();
+
+  /// At the start: the state depends on itself only.
+  static Tangent identity() noexcept {
+    Tangent tangent;
+    tangent.position[kPosition] = 1.0;
+    tangent.velocity[kVelocity] = 1.0;
+    return tangent;
+  }
+};
+
+namespace integrator {
+
+/// Derivative of a Runge-Kutta step by its own length.
+struct StepSlope {
+  double position;
+  double velocity;
+};
+
+/// runge_kutta() and its exact derivatives, chained onto `tangent`; the same arithmetic for the state.
+template <class Model>
+BrakeState runge_kutta_tangent(const Model& model, const BrakeState& state,
+                               Tangent<Model::kParameters>& tangent, double torque_Nm, double sign,
+                               double step_s, StepSlope* step_slope) noexcept {
+  using T = Tangent<Model::kParameters>;
+  constexpr int kColumns = T::kColumns;
+  const double half = 0.5 * step_s;
+  const double sixth = step_s / 6.0;
+
+  // Stage tangents: of the stage velocity (dp/dt) and of the stage acceleration, and their weighted sums.
+  alignas(32) double stage_position[kColumns];
+  alignas(32) double stage_velocity[kColumns];
+  alignas(32) double rate_velocity[kColumns];
+  alignas(32) double forcing[kColumns];
+  alignas(32) double sum_position[kColumns];
+  alignas(32) double sum_velocity[kColumns];
+  forcing[T::kPosition] = forcing[T::kVelocity] = 0.0;
+
+  const auto set_forcing = [&](const typename Model::Acceleration& point) {
+    for (int i = 0; i < Model::kParameters; ++i) forcing[i] = point.by_parameter[i];
+    forcing[T::kTorque] = point.by_torque;
+  };
+
+  const double p0 = state[0];
+  const double v0 = state[1];
+  const auto a0 = model.linearise(p0, v0, torque_Nm, sign);
+  set_forcing(a0);
+  for (int i = 0; i < kColumns; ++i) {
+    rate_velocity[i] =
+        a0.by_position * tangent.position[i] + a0.by_velocity * tangent.velocity[i] + forcing[i];
+    sum_position[i] = tangent.velocity[i];
+    sum_velocity[i] = rate_velocity[i];
+    stage_position[i] = tangent.position[i] + half * tangent.velocity[i];
+    stage_velocity[i] = tangent.velocity[i] + half * rate_velocity[i];
+  }
+  const double v1 = v0 + half * a0.value;
+  const auto a1 = model.linearise(p0 + half * v0, v1, torque_Nm, sign);
+  set_forcing(a1);
+  for (int i = 0; i < kColumns; ++i) {
+    rate_velocity[i] = a1.by_position * stage_position[i] + a1.by_velocity * stage_velocity[i] + forcing[i];
+    sum_position[i] += 2.0 * stage_velocity[i];
+    sum_velocity[i] += 2.0 * rate_velocity[i];
+    stage_position[i] = tangent.position[i] + half * stage_velocity[i];
+    stage_velocity[i] = tangent.velocity[i] + half * rate_velocity[i];
+  }
+  const double v2 = v0 + half * a1.value;
+  const auto a2 = model.linearise(p0 + half * v1, v2, torque_Nm, sign);
+  set_forcing(a2);
+  for (int i = 0; i < kColumns; ++i) {
+    rate_velocity[i] = a2.by_position * stage_position[i] + a2.by_velocity * stage_velocity[i] + forcing[i];
+    sum_position[i] += 2.0 * stage_velocity[i];
+    sum_velocity[i] += 2.0 * rate_velocity[i];
+    stage_position[i] = tangent.position[i] + step_s * stage_velocity[i];
+    stage_velocity[i] = tangent.velocity[i] + step_s * rate_velocity[i];
+  }
+  const double v3 = v0 + step_s * a2.value;
+  const auto a3 = model.linearise(p0 + step_s * v2, v3, torque_Nm, sign);
+  set_forcing(a3);
+  for (int i = 0; i < kColumns; ++i) {
+    rate_velocity[i] = a3.by_position * stage_position[i] + a3.by_velocity * stage_velocity[i] + forcing[i];
+    tangent.position[i] += sixth * (sum_position[i] + stage_velocity[i]);
+    tangent.velocity[i] += sixth * (sum_velocity[i] + rate_velocity[i]);
+  }
+
+  if (step_slope != nullptr) {
+    const double dv1 = 0.5 * a0.value;
+    const double da1 = a1.by_position * 0.5 * v0 + a1.by_velocity * dv1;
+    const double dv2 = 0.5 * a1.value + half * da1;
+    const double da2 = a2.by_position * (0.5 * v1 + half * dv1) + a2.by_velocity * dv2;
+    const double dv3 = a2.value + step_s * da2;
+    const double da3 = a3.by_position * (v2 + step_s * dv2) + a3.by_velocity * dv3;
+    step_slope->position = (v0 + 2.0 * (v1 + v2) + v3) / 6.0 + sixth * (2.0 * (dv1 + dv2) + dv3);
+    step_slope->velocity =
+        (a0.value + 2.0 * (a1.value + a2.value) + a3.value) / 6.0 + sixth * (2.0 * (da1 + da2) + da3);
+  }
+  return {p0 + sixth * (v0 + 2.0 * (v1 + v2) + v3),
+          v0 + sixth * (a0.value + 2.0 * (a1.value + a2.value) + a3.value)};
+}
+
+}  // namespace integrator
+
+/// advance() with the exact derivative of its discrete map chained onto `tangent`; through a zero crossing by
+/// the implicit function theorem on the located instant. At rest the velocity columns vanish: an
+/// infinitesimal velocity dies within an infinitesimal time. Where sticking and sliding just balance, the map
+/// has a kink, and the derivative is that of the branch taken.
+template <class Model>
+BrakeState advance_with_tangent(const Model& model, BrakeState state, Tangent<Model::kParameters>& tangent,
+                                double torque_Nm, double step_s) noexcept {
+  using T = Tangent<Model::kParameters>;
+  using Columns = typename T::Columns;
+  double left_s = step_s;
+  Columns left_tangent = Columns::Zero();  // of the time left after the crossings so far
+  for (int crossing = 0; crossing < kMaximumCrossings; ++crossing) {
+    const double sign =
+        state[1] != 0.0 ? std::copysign(1.0, state[1]) : model.breakaway_sign(state[0], torque_Nm);
+    if (sign == 0.0) {
+      tangent.velocity.setZero();
+      return state;
+    }
+    const T before = tangent;
+    integrator::StepSlope slope{};
+    BrakeState reached = integrator::runge_kutta_tangent(model, state, tangent, torque_Nm, sign, left_s,
+                                                         crossing > 0 ? &slope : nullptr);
+    if (!(sign * reached[1] < 0.0)) {
+      if (crossing > 0) {
+        tangent.position += slope.position * left_tangent;
+        tangent.velocity += slope.velocity * left_tangent;
+      }
+      return reached;
+    }
+    const double time = integrator::crossing_time(model, state, torque_Nm, sign, left_s, reached[1]);
+    tangent = before;
+    state = integrator::runge_kutta_tangent(model, state, tangent, torque_Nm, sign, time, &slope);
+    const Columns time_tangent =
+        slope.velocity != 0.0 ? Columns(-tangent.velocity / slope.velocity) : Columns(Columns::Zero());
+    tangent.position += slope.position * time_tangent;
+    tangent.velocity.setZero();
+    state[1] = 0.0;
+    left_tangent -= time_tangent;
+    left_s -= time;
+    if (!(left_s > 0.0)) return state;
+  }
+  return state;
+}
+
+}  // namespace clampd
