@@ -1,0 +1,130 @@
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <set>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "architecture/rules.hpp"
+
+namespace clampd::architecture {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+namespace fs = std::filesystem;
+
+const fs::path kTree = CLAMPD_SOURCE_DIR;
+
+std::string content_of(const fs::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+bool is_source(const fs::path& path) {
+  static const std::set<std::string> kExtensions{".cpp", ".hpp", ".c", ".cc", ".h", ".inl", ".ipp"};
+  return kExtensions.count(path.extension().string()) > 0;
+}
+
+TEST(Architecture, TheTreeKeepsItsRules) {
+  int files = 0;
+  for (const char* folder : {"include", "src", "rt", "drivers", "tools"}) {
+    for (const auto& entry : fs::recursive_directory_iterator(kTree / folder)) {
+      if (!entry.is_regular_file() || !is_source(entry.path())) continue;
+      ++files;
+      for (const std::string& violation :
+           violations(fs::relative(entry.path(), kTree).generic_string(), content_of(entry.path())))
+        ADD_FAILURE() << violation;
+    }
+  }
+  EXPECT_GT(files, 20) << "the walk must have seen the tree";
+}
+
+struct Planted {
+  std::string label;
+  std::string path;
+  std::string text;
+  std::string caught;  ///< empty: allowed
+};
+void PrintTo(const Planted& planted, std::ostream* out) {
+  *out << planted.label;
+}
+
+class Rules : public ::testing::TestWithParam<Planted> {};
+
+TEST_P(Rules, CatchWhatIsPlantedAndNothingElse) {
+  const Planted& planted = GetParam();
+  const auto found = violations(planted.path, planted.text);
+  if (planted.caught.empty())
+    EXPECT_THAT(found, IsEmpty());
+  else
+    EXPECT_THAT(found, ElementsAre(HasSubstr(planted.caught)));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Planted, Rules,
+    ::testing::Values(
+        Planted{"upward", "src/record/a.cpp", "#include \"clampd/brake/parameters.hpp\"\n",
+                "a.cpp:1: record must not"},
+        Planted{"upward_header", "include/clampd/identify/a.hpp",
+                "\n\n #  include <clampd/station/limits.hpp>", "a.hpp:3:"},
+        Planted{"rt_to_driver", "rt/a.cpp", "#include \"drivers/can/dbc.hpp\"",
+                "rt must not include drivers/can/dbc.hpp"},
+        Planted{"driver_to_rt", "drivers/can/a.hpp", "#include \"rt/ring.hpp\"", "drivers/can must not"},
+        Planted{"driver_to_driver", "drivers/can/a.hpp", "#include \"drivers/sim/plant.hpp\"",
+                "drivers/can must not"},
+        Planted{"sim_to_parameters", "drivers/sim/a.hpp", "#include \"clampd/brake/parameters.hpp\"", ""},
+        Planted{"sim_to_integrator", "drivers/sim/a.cpp", "#include \"clampd/brake/integrator.hpp\"",
+                "drivers/sim must not"},
+        Planted{"can_to_parameters", "drivers/can/a.cpp", "#include \"clampd/brake/parameters.hpp\"",
+                "drivers/can must not"},
+        Planted{"station_to_rt", "src/station/a.cpp", "#include \"rt/supervisor.hpp\"", "station must not"},
+        Planted{"archive_to_identify", "src/archive/a.cpp", "#include \"clampd/identify/output_error.hpp\"",
+                "archive must not"},
+        Planted{"src_to_tools", "src/station/a.cpp", "#include \"tools/cli/terminal.hpp\"",
+                "station must not"},
+        Planted{"src_to_tests", "src/station/a.cpp", "#include \"tests/support/x.hpp\"", "station must not"},
+        Planted{"tools_see_all", "tools/clampd/a.cpp",
+                "#include \"rt/ring.hpp\"\n#include \"drivers/sim/x.hpp\"", ""},
+        Planted{"downward", "src/station/a.cpp",
+                "#include \"clampd/identify/output_error.hpp\"\n#include <vector>", ""},
+        Planted{"tests_are_free", "tests/rt/a.cpp", "#include \"drivers/sim/x.hpp\"\nvoid f() { throw 1; }",
+                ""},
+        Planted{"unknown_room", "src/novel/a.cpp", "#include \"clampd/base/result.hpp\"",
+                "novel has no arrows"},
+        Planted{"dots", "src/brake/a.cpp", "#include \"../base/x.hpp\"", "leaves its folder"},
+        Planted{"commented_out", "src/record/a.cpp",
+                "// #include \"rt/ring.hpp\"\n/*\n#include \"rt/a.hpp\"\n*/", ""},
+        Planted{"ceres_in_identify", "src/identify/a.cpp", "#include <ceres/ceres.h>", ""},
+        Planted{"ceres_in_its_header", "include/clampd/identify/a.hpp", "#include <ceres/ceres.h>",
+                "must not include <ceres"},
+        Planted{"ceres_elsewhere", "src/brake/a.cpp", "#include <ceres/jet.h>", "must not include <ceres"},
+        Planted{"nlopt_elsewhere", "src/identify/a.cpp", "#include <nlopt.hpp>", "must not include <nlopt"},
+        Planted{"ipopt_elsewhere", "tools/x/a.cpp", "#include <IpIpoptApplication.hpp>",
+                "must not include <Ip"},
+        Planted{"sqlite_elsewhere", "tools/x/a.cpp", "#include <SQLiteCpp/Database.h>",
+                "must not include <SQLite"},
+        Planted{"function_in_rt", "rt/a.hpp", "std::function<void()> f;", "std::function"},
+        Planted{"throw_in_rt", "rt/a.cpp", "void f() {\n  throw 1;\n}",
+                "a.cpp:2: the real-time path must not use throw"},
+        Planted{"new_in_rt", "rt/a.cpp", "int* f() { return new int; }", "must not use new"},
+        Planted{"lock_in_rt", "rt/a.cpp", "std::mutex m;", "a mutex"},
+        Planted{"log_in_rt", "rt/a.cpp", "void f() { spdlog::info(\"\"); }", "logging"},
+        Planted{"iostream_in_rt", "rt/a.cpp", "#include <iostream>", "that header"},
+        Planted{"string_in_rt", "rt/a.cpp", "std::string s;", "a string"},
+        Planted{"words_in_rt_comments", "rt/a.cpp",
+                "// a new throw\nconst char* s = \"new mutex; throw\";\nint new_x; std::string_view v; int y "
+                "= 1'000; char c = '\"';",
+                ""},
+        Planted{"setup_in_rt", "rt/cyclic_thread.cpp", "std::mutex m; void f() { throw 1; }", ""},
+        Planted{"mark_without_noexcept", "drivers/can/a.hpp",
+                "CLAMPD_REALTIME\nint f(int x);\nint g() noexcept;", "not noexcept"},
+        Planted{"mark_with_noexcept", "rt/a.hpp",
+                "  CLAMPD_REALTIME virtual bool f(\n  int x) const\n  noexcept = 0;", ""}),
+    [](const auto& planted) { return planted.param.label; });
+
+}  // namespace
+}  // namespace clampd::architecture

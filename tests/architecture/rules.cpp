@@ -1,0 +1,215 @@
+#include "architecture/rules.hpp"
+
+#include <algorithm>
+#include <map>
+#include <optional>
+#include <regex>
+
+#include <fmt/format.h>
+
+namespace clampd::architecture {
+namespace {
+
+using Rooms = std::vector<std::string_view>;
+
+/// THE arrows: what each room may include besides itself.
+const std::map<std::string_view, Rooms>& arrows() {
+  static const std::map<std::string_view, Rooms> kArrows{
+      {"base", {}},
+      {"record", {"base"}},
+      {"brake", {"record", "base"}},
+      {"identify", {"brake", "record", "base"}},
+      {"experiment", {"identify", "brake", "record", "base"}},
+      {"diagnose", {"identify", "brake", "record", "base"}},
+      {"station", {"diagnose", "experiment", "identify", "brake", "record", "base"}},
+      {"archive", {"record", "base"}},
+      {"rt", {"record", "base"}},
+      {"drivers/can", {"record", "base"}},
+      {"drivers/gpio", {"record", "base"}},
+      {"drivers/sim", {"record", "base"}},
+  };
+  return kArrows;
+}
+
+/// The simulated brake shares the parameters with the estimator, and on purpose nothing of its mathematics.
+bool is_allowed_exception(std::string_view room, std::string_view include) {
+  return room == "drivers/sim" && include == "clampd/brake/parameters.hpp";
+}
+
+struct LibraryRule {
+  std::string_view prefix;
+  Rooms rooms;
+  bool also_in_public_headers;
+};
+
+const std::vector<LibraryRule>& library_rules() {
+  static const std::vector<LibraryRule> kRules{
+      {"ceres/", {"identify"}, false},  {"nlopt", {"experiment"}, false},
+      {"coin/", {"experiment"}, false}, {"coin-or/", {"experiment"}, false},
+      {"Ip", {"experiment"}, false},    {"SQLiteCpp/", {"archive"}, false},
+      {"sqlite3", {"archive"}, false},  {"linux/can", {"drivers/can", "tools"}, true},
+      {"httplib", {"tools"}, true},     {"CLI/", {"tools"}, true},
+  };
+  return kRules;
+}
+
+bool starts_with(std::string_view text, std::string_view prefix) {
+  return text.substr(0, prefix.size()) == prefix;
+}
+
+std::optional<std::string_view> component(std::string_view path, std::string_view prefix) {
+  if (!starts_with(path, prefix)) return std::nullopt;
+  const std::string_view rest = path.substr(prefix.size());
+  const std::size_t slash = rest.find('/');
+  if (slash == std::string_view::npos) return std::nullopt;
+  return rest.substr(0, slash);
+}
+
+/// Room of a path in the tree or in an #include; nothing for the standard library and other packages.
+std::optional<std::string_view> room_of(std::string_view path) {
+  if (const auto room = component(path, "include/clampd/")) return room;
+  if (const auto room = component(path, "clampd/")) return room;
+  if (const auto room = component(path, "src/")) return room;
+  if (starts_with(path, "rt/")) return "rt";
+  if (const auto room = component(path, "drivers/")) return path.substr(0, 8 + room->size());
+  if (starts_with(path, "tools/")) return "tools";
+  if (starts_with(path, "tests/")) return "tests";
+  return std::nullopt;
+}
+
+/// The text with comments and the insides of literals blanked, line breaks kept.
+/// `keep_strings`: for #include lines, whose names look like literals.
+std::string code_only(std::string_view text, bool keep_strings) {
+  std::string code(text);
+  enum class In { Code, LineComment, BlockComment, String, Character } in = In::Code;
+  for (std::size_t i = 0; i < code.size(); ++i) {
+    const char c = code[i];
+    const char next = i + 1 < code.size() ? code[i + 1] : '\0';
+    switch (in) {
+      case In::Code:
+        if (c == '/' && next == '/') in = In::LineComment;
+        if (c == '/' && next == '*') in = In::BlockComment;
+        if (c == '"') in = In::String;
+        // a digit before it makes it a separator as in 1'000
+        if (c == '\'' && (i == 0 || !std::isalnum(static_cast<unsigned char>(code[i - 1]))))
+          in = In::Character;
+        if (in == In::LineComment || in == In::BlockComment) code[i] = ' ';
+        break;
+      case In::LineComment:
+        if (c == '\n')
+          in = In::Code;
+        else
+          code[i] = ' ';
+        break;
+      case In::BlockComment:
+        if (c != '\n') code[i] = ' ';
+        if (c == '*' && next == '/') {
+          code[++i] = ' ';
+          in = In::Code;
+        }
+        break;
+      case In::String:
+      case In::Character:
+        if (c == (in == In::String ? '"' : '\'') || c == '\n')
+          in = In::Code;
+        else if (!keep_strings)
+          code[i] = ' ';
+        if (c == '\\' && next != '\0' && next != '\n') ++i;
+        break;
+    }
+  }
+  return code;
+}
+
+std::size_t line_of(std::string_view text, std::size_t position) {
+  return 1 + static_cast<std::size_t>(
+                 std::count(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(position), '\n'));
+}
+
+struct RealtimeBan {
+  const char* pattern;
+  const char* what;
+};
+
+/// Set-up code that lives in rt/ and may do what the tick may not.
+bool is_setup_code(std::string_view path) {
+  return starts_with(path, "rt/cyclic_thread") || starts_with(path, "rt/readiness");
+}
+
+void check_includes(const std::string& path, std::string_view room, std::string_view content,
+                    std::vector<std::string>& found) {
+  static const std::regex kInclude(R"re((?:^|\n)[ \t]*#[ \t]*include[ \t]*[<"]([^>"\n]+)[>"])re");
+  const std::string code = code_only(content, true);
+  const bool is_public_header = starts_with(path, "include/");
+  for (std::sregex_iterator match(code.begin(), code.end(), kInclude), end; match != end; ++match) {
+    const std::string include = (*match)[1];
+    const std::size_t line = line_of(code, static_cast<std::size_t>(match->position(1)));
+    if (include.find("..") != std::string::npos)
+      found.push_back(
+          fmt::format("{}:{}: includes {} by a path that leaves its folder", path, line, include));
+    const auto target = room_of(include);
+    if (target && *target != room && room != "tools") {
+      const auto allowed = arrows().find(room);
+      if (allowed == arrows().end())
+        found.push_back(fmt::format("{}:{}: room {} has no arrows yet: decide them", path, line, room));
+      else if (std::find(allowed->second.begin(), allowed->second.end(), *target) == allowed->second.end() &&
+               !is_allowed_exception(room, include))
+        found.push_back(
+            fmt::format("{}:{}: {} must not include {} (room {})", path, line, room, include, *target));
+    }
+    for (const LibraryRule& rule : library_rules()) {
+      if (target || !starts_with(include, rule.prefix)) continue;
+      const bool right_room = std::find(rule.rooms.begin(), rule.rooms.end(), room) != rule.rooms.end();
+      if (!right_room || (is_public_header && !rule.also_in_public_headers))
+        found.push_back(fmt::format("{}:{}: {} must not include <{}>", path, line, room, include));
+    }
+  }
+}
+
+void check_realtime_path(const std::string& path, const std::string& code, std::vector<std::string>& found) {
+  static const std::vector<RealtimeBan> kBans{
+      {R"(std::function\b)", "std::function"},
+      {R"(\bthrow\b)", "throw"},
+      {R"(\bnew\b)", "new"},
+      {R"(\bmalloc\s*\()", "malloc"},
+      {R"(\bstd::\w*mutex\b)", "a mutex"},
+      {R"(\b(lock_guard|unique_lock|scoped_lock|condition_variable)\b)", "a lock"},
+      {R"(\bspdlog\b)", "logging"},
+      {R"(#\s*include\s*<(iostream|fstream|sstream|cstdio|mutex|shared_mutex|functional|regex)>)",
+       "that header"},
+      {R"(\bstd::(string|ostringstream|stringstream|to_string|format)\b(?!_view))", "a string"},
+      {R"(\bsleep_(for|until)\b)", "sleep"},
+  };
+  for (const RealtimeBan& ban : kBans) {
+    const std::regex pattern(ban.pattern);
+    for (std::sregex_iterator match(code.begin(), code.end(), pattern), end; match != end; ++match)
+      found.push_back(fmt::format("{}:{}: the real-time path must not use {}", path,
+                                  line_of(code, static_cast<std::size_t>(match->position())), ban.what));
+  }
+}
+
+void check_marks(const std::string& path, const std::string& code, std::vector<std::string>& found) {
+  static const std::regex kMark(R"((?:^|\n)(?!\s*#)[^\n]*\bCLAMPD_REALTIME\b)");
+  for (std::sregex_iterator match(code.begin(), code.end(), kMark), end; match != end; ++match) {
+    const auto start = static_cast<std::size_t>(match->position() + match->length());
+    const std::string declaration = code.substr(start, code.find_first_of(";{", start) - start);
+    if (declaration.find("noexcept") == std::string::npos)
+      found.push_back(
+          fmt::format("{}:{}: marked CLAMPD_REALTIME and not noexcept", path, line_of(code, start)));
+  }
+}
+
+}  // namespace
+
+std::vector<std::string> violations(const std::string& path, std::string_view content) {
+  std::vector<std::string> found;
+  const auto room = room_of(path);
+  if (!room || *room == "tests") return found;
+  check_includes(path, *room, content, found);
+  const std::string code = code_only(content, false);
+  if (*room == "rt" && !is_setup_code(path)) check_realtime_path(path, code, found);
+  check_marks(path, code, found);
+  return found;
+}
+
+}  // namespace clampd::architecture
