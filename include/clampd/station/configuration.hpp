@@ -1,0 +1,113 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "clampd/base/result.hpp"
+#include "clampd/brake/parameters.hpp"
+
+namespace clampd {
+
+/// A measuring instrument of the station, as it appears in every record.
+struct Instrument {
+  std::string name;
+  std::string serial;
+  std::string calibrated;  ///< date of the last calibration, YYYY-MM-DD
+};
+
+struct CanSettings {
+  std::string interface;  ///< e.g. "can0"; empty: the embedded simulated brake, in virtual time
+  std::string dbc;        ///< path; empty: the DBC file that ships with the station
+  std::uint32_t bitrate =
+      1'000'000;  ///< bit/s, for the bus load; the interface itself is set up by the system
+  /// Frame and signal names of this brake's DBC file, by role; roles that are not named keep their default.
+  std::vector<std::pair<std::string, std::string>> mapping;
+};
+
+struct RealtimeSettings {
+  int priority = 80;  ///< of SCHED_FIFO; 0: an ordinary thread, for development
+  int cpu = -1;       ///< -1: any
+  bool lock_memory = true;
+};
+
+/// When the loop gives up: each governs one cause of the supervisor's table.
+struct SupervisorSettings {
+  double start_up_ms = 1000.0;  ///< first feedback must come within this
+  double stale_after_ms = 3.0;  ///< without a new sample
+  int corrupt_frames_max = 1;   ///< refused frames within 10 ms that are still tolerated
+  double over_force_N = 32'000.0;
+  double over_speed_rad_s = 330.0;
+  double over_torque_Nm = 3.3;
+  double over_travel_rad = 200.0;   ///< from where the check began
+  int missed_ticks_max = 3;         ///< periods skipped at once
+  int missed_ticks_total_max = 10;  ///< periods skipped in one check
+};
+
+struct CheckSettings {
+  std::uint32_t repeats = 20;
+  std::string trajectory;  ///< run file; empty: the trajectory that ships with the station
+  double tare_s = 0.2;
+  double approach_velocity_rad_s = 20.0;
+  double contact_force_N = 300.0;
+  double clearance_rad = 6.0;
+  double settle_s = 0.05;
+  double phase_timeout_s = 5.0;
+  double torque_limit_Nm = 3.0;
+  double deadline_s = 60.0;  ///< for the whole check; then TIMEOUT
+};
+
+/// What a run must satisfy to say anything about the brake; otherwise the check is an ERROR, never a FAIL.
+struct ValiditySettings {
+  std::uint64_t skipped_ticks_max = 10;
+  std::uint64_t lost_samples_max = 0;
+  double tracking_rms_max_N = 1500.0;
+  double torque_noise_Nm = 0.0142;  ///< sd per sample of the torque reading, which no fit can follow
+  double misfit_max = 4.0;          ///< residual rms over what sensor and torque noise explain
+};
+
+struct ControlSettings {
+  std::string address = "127.0.0.1";
+  std::uint16_t port = 8371;
+  std::string token_file;  ///< empty: none is asked for
+};
+
+/// Everything a station can be told. A default-constructed one works: the embedded simulated brake, nominal
+/// model.
+struct StationConfiguration {
+  std::string file;  ///< where it came from; empty: the defaults
+  std::string name = "station";
+  std::string fixture;
+  std::string part_number;
+  std::string batch;
+  std::string operator_name;
+  bool simulated_brake = true;  ///< no result of this station says anything about hardware
+  std::vector<Instrument> instruments;
+  std::string plant_file;  ///< of the embedded simulated brake; empty: a nominal one
+  CanSettings can;
+  RealtimeSettings realtime;
+  SupervisorSettings supervisor;
+  CheckSettings check;
+  ValiditySettings validity;
+  BrakeParameters model;    ///< the nominal brake
+  std::string limits_file;  ///< empty: the limits that ship with the station
+  std::string database;     ///< SQLite file of the results
+  ControlSettings control;
+
+  bool embedded() const { return can.interface.empty(); }
+};
+
+/// Reads and checks a TOML file. Unknown keys (with the nearest known one), wrong types and values outside of
+/// their bounds are errors with file, line and column. Relative paths count from the file's folder; files
+/// named are not opened here, except for the model's parameters.
+Result<StationConfiguration> read_station_configuration(const std::string& path);
+
+/// The same from text; `path` stands for the file in messages and decides what relative paths mean.
+Result<StationConfiguration> parse_station_configuration(const std::string& text, const std::string& path);
+
+/// Where the results go unless configured: $STATE_DIRECTORY (as systemd sets it), else /var/lib/clampd for
+/// root, else $XDG_STATE_HOME/clampd or ~/.local/state/clampd; in there, checks.sqlite.
+std::string default_database();
+
+}  // namespace clampd

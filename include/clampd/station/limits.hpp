@@ -1,0 +1,38 @@
+#pragma once
+
+#include <array>
+#include <string>
+
+#include "clampd/base/result.hpp"
+#include "clampd/brake/parameters.hpp"
+
+namespace clampd {
+
+/// Tolerance interval of one parameter, SI. lower < upper.
+struct LimitInterval {
+  double lower = 0.0;
+  double upper = 0.0;
+};
+
+/// What a brake is judged by.
+struct LimitSet {
+  std::string file;  ///< "built-in" where there is none
+  std::string revision;
+  std::string author;
+  std::string changed;        ///< date, YYYY-MM-DD
+  std::string sha256;         ///< of the file's text
+  double guard_band_k = 2.0;  ///< coverage factor: half width of the guard band in standard deviations
+  std::array<LimitInterval, kParameterCount> intervals;  ///< in the order of the parameter table
+};
+
+/// Limits file (TOML): revision, author, changed, guard_band_k, and for each of the seven parameters one
+/// `NAME = {lower = x, upper = x}`, either in [parameters] (SI) or in [parameters_normalised] (times
+/// nominal). Impossible limits are errors with file, line and column: lower not below upper, a parameter
+/// missing, named twice or unknown, a value not finite, a negative guard band.
+Result<LimitSet> read_limits(const std::string& path);
+Result<LimitSet> parse_limits(const std::string& text, const std::string& path);
+
+/// The same limits as configs/limits.toml, for a station without a limits file.
+LimitSet default_limits();
+
+}  // namespace clampd

@@ -1,0 +1,91 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "clampd/record/brake_port.hpp"
+#include "clampd/record/check_record.hpp"
+#include "clampd/record/sample.hpp"
+#include "clampd/station/configuration.hpp"
+#include "clampd/station/limits.hpp"
+#include "clampd/station/run_collector.hpp"
+#include "clampd/station/worker.hpp"
+
+namespace clampd {
+
+/// What the operator asks for. Empty texts: as configured.
+struct CheckRequest {
+  std::string serial;
+  std::uint32_t repeats = 0;  ///< 0: as configured
+  std::string operator_name;
+  std::string part_number;
+  std::string batch;
+};
+
+/// Bounds of a request, checked before anything moves: a serial of 1 to 80 printable characters, 1 to 200
+/// repeats.
+Result<void> validate(const CheckRequest& request);
+
+/// What was prepared for this check.
+struct CheckContext {
+  std::size_t trajectory_rows = 0;
+  std::string trajectory_sha256;
+  std::string software_version;
+  std::int64_t started_utc_ns = 0;
+};
+
+/// What the station knows when the check has ended.
+struct CheckOutcome {
+  FaultCause fault = FaultCause::None;
+  std::string fault_text;  ///< the supervisor's sentence; may be empty
+  bool deadline_passed = false;
+  TimingRecord timing;  ///< ticks, skips and lateness of this check; lost_samples: dropped by the ring
+  PortHealth health;    ///< counts of this check alone, not since start
+  std::int64_t stopped_utc_ns = 0;
+  std::vector<Sample> flight_recorder;
+};
+
+/// One check from its first sample to its record. consume() and finish() belong to one thread, progress() to
+/// any.
+class CheckSession {
+ public:
+  struct Progress {
+    std::uint64_t samples = 0;
+    std::uint32_t repeats = 0;  ///< planned
+    std::uint32_t recorded = 0;
+    std::uint32_t identified = 0;
+  };
+
+  /// `request` must be valid.
+  CheckSession(const StationConfiguration& configuration, const LimitSet& limits, const CheckRequest& request,
+               const CheckContext& context, Estimator estimator, WorkerMode mode);
+
+  /// Every sample of the check, in the order of the ring.
+  void consume(const Sample& sample);
+
+  /// The record with its verdict. Once only.
+  CheckRecord finish(CheckOutcome outcome);
+
+  const std::string& id() const { return record_.id; }
+  Progress progress() const;
+
+ private:
+  StationConfiguration configuration_;
+  LimitSet limits_;
+  std::int64_t started_utc_ns_;
+  std::uint32_t repeats_;
+  CheckRecord record_;
+  RunCollector collector_;
+  IdentificationWorker worker_;
+  std::atomic<std::uint64_t> samples_{0};
+  std::atomic<std::uint32_t> recorded_{0};
+};
+
+/// Standard deviation of an estimate (normalised), honest under noise of the torque reading: for each
+/// parameter the largest of the Cramér-Rao figure (which takes the torque as exact), the sandwich over the
+/// runs (from 8 runs on) and, for 3 to 7 runs, the standard error of the runs' own estimates.
+ParameterVector reported_sd_normalised(const OutputErrorSummary& joint, const std::vector<RunRecord>& runs);
+
+}  // namespace clampd

@@ -1,0 +1,56 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "clampd/brake/parameters.hpp"
+#include "clampd/record/check_record.hpp"
+#include "clampd/station/configuration.hpp"
+#include "clampd/station/limits.hpp"
+
+namespace clampd {
+
+/// What a check found out, as far as its verdict depends on it.
+struct CheckFacts {
+  FaultCause fault = FaultCause::None;
+  std::string fault_text;  ///< a sentence for the technician; empty: a plain one is made from the cause
+  bool deadline_passed = false;
+  std::string problem;  ///< why the recorded runs cannot be used; empty if they can
+  std::uint32_t repeats_planned = 0;
+  std::uint32_t repeats_recorded = 0;
+  std::uint64_t ticks_skipped = 0;
+  std::uint64_t samples_lost = 0;
+  double tracking_rms_N = 0.0;
+  bool estimated = false;     ///< the joint fit converged to an identifiable estimate
+  std::string estimate_text;  ///< the estimator's own words
+  ParameterVector estimate;   ///< SI
+  ParameterVector sd;         ///< SI
+  double misfit_force = 0.0;  ///< residual rms over what the known noise explains
+  double misfit_velocity = 0.0;
+};
+
+struct Judgement {
+  Verdict verdict = Verdict::Error;
+  bool marginal = false;
+  std::string reason;                       ///< one sentence
+  std::vector<ParameterRecord> parameters;  ///< empty where there is no estimate
+};
+
+/// One value against its interval by guard band (JCGM 106): inside of both limits by more than k sd passes,
+/// outside of one by more than k sd fails, anything between is marginal.
+ParameterVerdict judge_parameter(double value, double sd, const LimitInterval& limits, double guard_band_k);
+
+/// The verdict. In this order:
+/// operator or emergency stop: ABORTED; the deadline or a phase's time-out: TIMEOUT; any other fault, lost
+/// samples, skipped ticks above the limit, missing repeats, no estimate, a fit that does not explain the
+/// runs: ERROR; a parameter that fails: FAIL; a marginal one: decided by its value alone, with `marginal`
+/// set, unless its guard bands overlap, since then no value could pass: ERROR; a brake that passes but was
+/// not driven along the trajectory: ERROR. A brake that fails may have been tracked badly for that very
+/// reason: this stays a FAIL.
+Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValiditySettings& validity);
+
+/// 0 pass, 1 fail, 3 error, 4 aborted, 5 timed out.
+int exit_code(Verdict verdict);
+
+}  // namespace clampd

@@ -1,0 +1,69 @@
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <mutex>
+#include <span>
+#include <thread>
+#include <vector>
+
+#include "clampd/identify/output_error.hpp"
+#include "clampd/record/check_record.hpp"
+#include "clampd/station/run_collector.hpp"
+
+namespace clampd {
+
+/// How runs become parameters: identify_output_error, or another in tests.
+using Estimator = std::function<OutputErrorSummary(std::span<const Run>, const OutputErrorOptions&)>;
+
+enum class WorkerMode {
+  Background,   ///< a thread of its own, so that estimation runs beside the next repeats
+  Synchronous,  ///< inside of submit() and finish(), for a station in virtual time
+};
+
+/// Identifies each run as it arrives, and all of them jointly at the end.
+class IdentificationWorker {
+ public:
+  /// `capacity`: runs that may wait at once, at least 1. With the number of repeats, submit() never has to
+  /// refuse.
+  IdentificationWorker(Estimator estimator, OutputErrorOptions options, std::size_t capacity,
+                       WorkerMode mode);
+  ~IdentificationWorker();
+  IdentificationWorker(const IdentificationWorker&) = delete;
+  IdentificationWorker& operator=(const IdentificationWorker&) = delete;
+
+  /// Never blocks on an estimate in the background mode. False if the queue is full: the run is not taken.
+  bool submit(CollectedRun run);
+
+  struct Outcome {
+    std::vector<RunRecord> runs;  ///< in the order of submission
+    OutputErrorSummary
+        joint;  ///< over all runs; its start is the mean of the runs' estimates, if there are any
+  };
+  /// Waits for what was submitted, then fits all runs jointly. Once only; submit() is over then.
+  Outcome finish();
+
+  /// Runs identified so far; from any thread.
+  std::uint32_t identified() const { return identified_.load(std::memory_order_relaxed); }
+
+ private:
+  void work();
+  RunRecord identify(CollectedRun run) const;
+
+  const Estimator estimator_;
+  const OutputErrorOptions options_;
+  const std::size_t capacity_;
+  const WorkerMode mode_;
+  std::vector<RunRecord> records_;  ///< the thread's until it is joined
+  std::atomic<std::uint32_t> identified_{0};
+  std::mutex mutex_;
+  std::condition_variable arrived_;
+  std::deque<CollectedRun> queue_;
+  bool closed_ = false;
+  std::thread thread_;  ///< last: it uses all of the above
+};
+
+}  // namespace clampd
