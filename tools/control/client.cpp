@@ -1,0 +1,84 @@
+#include <httplib.h>
+
+#include <fmt/format.h>
+
+#include "clampd/record/file.hpp"
+#include "tools/control/messages.hpp"
+
+namespace clampd::control {
+
+namespace {
+
+std::string trimmed(std::string text) {
+  const auto end = text.find_last_not_of(" \t\r\n");
+  text.erase(end == std::string::npos ? 0 : end + 1);
+  return text;
+}
+
+}  // namespace
+
+Client::Client(std::string address, int port, std::string token_file)
+    : address_(std::move(address)), port_(port), token_file_(std::move(token_file)) {}
+
+Result<nlohmann::ordered_json> Client::exchange(const std::string& method, const std::string& path,
+                                                const nlohmann::ordered_json& body) const {
+  httplib::Client http(address_, port_);
+  http.set_connection_timeout(2);
+  http.set_read_timeout(5);
+  httplib::Headers headers;
+  if (method == "POST") {
+    const Result<std::string> token = read_file(token_file_);
+    if (!token)
+      return failure(token.error().message + ". The daemon writes its token there when it starts; is it running, and "
+                                             "may you read the file?");
+    headers.emplace("Authorization", "Bearer " + trimmed(*token));
+  }
+  const httplib::Result response = method == "POST" ? http.Post(path, headers, body.dump(), "application/json")
+                                                    : http.Get(path, headers);
+  if (!response)
+    return failure(fmt::format("no daemon answers at {}:{} ({}). Start it with `systemctl start clampd` or `clampd "
+                               "--config FILE`",
+                               address_, port_, httplib::to_string(response.error())));
+  nlohmann::ordered_json document = nlohmann::ordered_json::parse(response->body, nullptr, false);
+  if (document.is_discarded())
+    return failure(fmt::format("the answer of {}:{}{} is not JSON; is another program using this port?", address_,
+                               port_, path));
+  if (response->status >= 300)
+    return failure(document.is_object() ? document.value("error", fmt::format("status {}", response->status))
+                                        : fmt::format("the daemon refused with status {}", response->status));
+  return document;
+}
+
+Result<StationStatus> Client::status() const {
+  return exchange("GET", "/v1/status", {}).map([](const auto& document) {
+    return nlohmann::json(document).get<StationStatus>();
+  });
+}
+
+Result<std::uint64_t> Client::start(const CheckRequest& request) const {
+  return exchange("POST", "/v1/checks", nlohmann::ordered_json(nlohmann::json(request)))
+      .map([](const auto& document) { return document.value("check", std::uint64_t{0}); });
+}
+
+Result<CheckProgress> Client::progress() const {
+  return exchange("GET", "/v1/checks/current", {}).map([](const auto& document) {
+    CheckProgress progress;
+    progress.check = document.value("check", progress.check);
+    progress.finished = document.value("finished", false);
+    progress.phase = document.value("phase", std::string());
+    progress.repeat = document.value("repeat", progress.repeat);
+    progress.repeats = document.value("repeats", progress.repeats);
+    progress.record = document.value("record", nlohmann::ordered_json());
+    return progress;
+  });
+}
+
+Result<void> Client::stop() const {
+  return exchange("POST", "/v1/stop", nlohmann::ordered_json::object()).map([](const auto&) {});
+}
+
+Result<void> Client::clear() const {
+  return exchange("POST", "/v1/clear", nlohmann::ordered_json::object()).map([](const auto&) {});
+}
+
+}  // namespace clampd::control

@@ -1,0 +1,94 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include <nlohmann/json.hpp>
+
+#include "clampd/base/result.hpp"
+
+namespace clampd::control {
+
+// What goes over the control API (HTTP on the loopback interface, JSON bodies):
+//   GET  /v1/status          StationStatus
+//   POST /v1/checks          CheckRequest -> {"check": number}; 409 while the station is not IDLE
+//   GET  /v1/checks/current  CheckProgress
+//   POST /v1/stop            operator stop
+//   POST /v1/clear           clears a fault whose cause is gone; 409 with the reason if it is not
+//   GET  /v1/results         query: serial, verdict, limit
+//   GET  /v1/results/{id}    clampd.check/1
+// Whatever moves or stops the brake needs "Authorization: Bearer TOKEN"; the daemon writes the token into the file
+// named in its configuration when it starts.
+
+/// What the station is doing now.
+struct StationStatus {
+  std::string station;
+  std::string version;
+  std::string state;  ///< INIT, IDLE, ...
+  std::string fault;  ///< "none" or the cause's name
+  std::string fault_text;  ///< what it means and what to do
+  bool clearable = false;
+  std::string phase;
+  std::uint32_t repeat = 0;
+  std::uint32_t repeats = 0;
+  std::string serial;  ///< of the check in progress or the last one
+  std::string last_verdict;
+  std::uint64_t ticks = 0;
+  std::uint64_t skipped = 0;
+  double lateness_avg_us = 0.0;
+  double lateness_max_us = 0.0;
+  double force_N = 0.0;
+  double velocity_rad_s = 0.0;
+  double torque_Nm = 0.0;
+  std::string interface;
+  std::string link;
+  double bus_load = 0.0;
+  bool simulated = false;
+  bool realtime = false;
+};
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version, state, fault, fault_text, clearable,
+                                                phase, repeat, repeats, serial, last_verdict, ticks, skipped,
+                                                lateness_avg_us, lateness_max_us, force_N, velocity_rad_s, torque_Nm,
+                                                interface, link, bus_load, simulated, realtime)
+
+/// Which brake to check, and how.
+struct CheckRequest {
+  std::string serial;
+  std::uint32_t repeats = 0;  ///< 0: as configured
+  std::string operator_name;
+  std::string part_number;
+  std::string batch;
+};
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(CheckRequest, serial, repeats, operator_name, part_number, batch)
+
+/// Where a check stands; `record` is the finished clampd.check/1 document, null until then.
+struct CheckProgress {
+  std::uint64_t check = 0;
+  bool finished = false;
+  std::string phase;
+  std::uint32_t repeat = 0;
+  std::uint32_t repeats = 0;
+  nlohmann::ordered_json record;
+};
+
+/// The station's half of the conversation, from a program that talks to the daemon.
+class Client {
+ public:
+  Client(std::string address, int port, std::string token_file);
+
+  Result<StationStatus> status() const;
+  Result<std::uint64_t> start(const CheckRequest& request) const;
+  Result<CheckProgress> progress() const;
+  Result<void> stop() const;
+  Result<void> clear() const;
+
+ private:
+  Result<nlohmann::ordered_json> exchange(const std::string& method, const std::string& path,
+                                          const nlohmann::ordered_json& body) const;
+
+  std::string address_;
+  int port_;
+  std::string token_file_;
+};
+
+}  // namespace clampd::control
