@@ -1,30 +1,46 @@
 #pragma once
 
-// The tick: everything that happens once a millisecond, with time as an argument and the link behind BrakePort, so
-// that the very code of the bench runs in the tests in virtual time. (Interface fixed; see rt/check_sequence.hpp.)
+// The tick: everything that happens once a millisecond, with time as an argument and the link behind
+// BrakePort, so that the very code of the bench runs in the tests in virtual time.
 
+#include <algorithm>
+#include <array>
 #include <atomic>
+#include <cmath>
+#include <cstddef>
 #include <cstdint>
 
 #include "clampd/base/realtime.hpp"
 #include "clampd/record/brake_port.hpp"
 #include "clampd/record/sample.hpp"
 #include "rt/check_sequence.hpp"
+#include "rt/flight_recorder.hpp"
+#include "rt/histogram.hpp"
 #include "rt/ring.hpp"
 #include "rt/supervisor.hpp"
 
 namespace clampd::rt {
 
-/// What other threads may read at any time. Every field is atomic on its own; the ring carries the consistent data.
+/// What other threads may read at any time. Every field is atomic on its own; the ring carries the consistent
+/// data. Who waits for a check watches checks_finished: what belongs to that check is already in place when
+/// it counts up.
 struct StatusBoard {
   std::atomic<StationState> state{StationState::Init};
   std::atomic<FaultCause> fault{FaultCause::None};
+  std::atomic<std::int64_t> fault_time_ns{0};                 ///< when it was latched
+  std::atomic<StationState> fault_state{StationState::Init};  ///< in which state it was latched
+  std::atomic<bool> clearable{false};                         ///< in FAULT: a clear would be accepted now
   std::atomic<CheckPhase> phase{CheckPhase::None};
   std::atomic<std::uint16_t> repeat{0};
   std::atomic<std::uint64_t> ticks{0};
   std::atomic<std::uint64_t> skipped{0};
   std::atomic<std::uint64_t> ring_drops{0};
-  std::atomic<std::uint64_t> checks_finished{0};  ///< sequences that reached Done or were ended by a fault
+  std::atomic<std::uint64_t> check_ticks{0};  ///< of the present or last check, like the next three
+  std::atomic<std::uint64_t> check_skipped{0};
+  std::atomic<std::uint64_t> check_ring_drops{0};
+  std::atomic<std::uint64_t> check_lost_samples{0};  ///< by the port's count, in any phase
+  std::atomic<std::uint64_t> checks_finished{
+      0};  ///< sequences that reached Done, were ended by a fault or refused in FAULT
   std::atomic<double> force_N{0.0};
   std::atomic<double> velocity_rad_s{0.0};
   std::atomic<double> torque_Nm{0.0};
@@ -32,10 +48,261 @@ struct StatusBoard {
 
 /// Requests from other threads; the tick takes them. Lock-free, one slot each.
 struct RequestBoard {
-  std::atomic<const CheckPlan*> plan{nullptr};  ///< a check to start; taken (set to null) when ARMED
-  std::atomic<bool> stop{false};                ///< operator stop
-  std::atomic<bool> emergency_stop{false};      ///< level, not edge: FAULT persists while true
-  std::atomic<bool> clear{false};               ///< operator clears the fault
+  /// A check to start. Taken (set to null) when ARMED; waits in INIT; refused (set to null, counted as
+  /// finished) in FAULT, so that nothing moves after a fault without a clear and then a new check.
+  std::atomic<const CheckPlan*> plan{nullptr};
+  std::atomic<bool> stop{false};            ///< operator stop; also withdraws a plan that waits
+  std::atomic<bool> emergency_stop{false};  ///< level, not edge: FAULT persists while true
+  std::atomic<bool> clear{false};           ///< operator clears the fault; ignored unless clearable
 };
+
+/// The port's health for other threads, as of the last tick.
+class HealthBoard {
+ public:
+  CLAMPD_REALTIME void store(const PortHealth& health) noexcept {
+    link_.store(health.link, std::memory_order_relaxed);
+    for (std::size_t i = 0; i < kCounters.size(); ++i) {
+      counters_[i].store(health.*kCounters[i], std::memory_order_relaxed);
+    }
+  }
+
+  PortHealth load() const noexcept {
+    PortHealth health;
+    health.link = link_.load(std::memory_order_relaxed);
+    for (std::size_t i = 0; i < kCounters.size(); ++i) {
+      health.*kCounters[i] = counters_[i].load(std::memory_order_relaxed);
+    }
+    return health;
+  }
+
+ private:
+  static constexpr std::array kCounters{
+      &PortHealth::frames_received,   &PortHealth::frames_sent,    &PortHealth::send_failures,
+      &PortHealth::crc_errors,        &PortHealth::counter_errors, &PortHealth::lost_samples,
+      &PortHealth::implausible,       &PortHealth::error_frames,   &PortHealth::bus_off_events,
+      &PortHealth::receive_overflows, &PortHealth::bus_bits};
+
+  std::atomic<LinkState> link_{LinkState::Up};
+  std::array<std::atomic<std::uint64_t>, kCounters.size()> counters_{};
+};
+
+/// One station's tick. `Sequence` has the interface of CheckSequence; tests put a toy there.
+///
+/// A plan handed over in the RequestBoard is used from ARMED until checks_finished counts up.
+template <class Sequence>
+class BasicControlCore {
+ public:
+  static constexpr std::size_t kReceiveCapacity = 64;
+  static constexpr std::size_t kRingCapacity = 8192;
+
+  /// `port` must outlive the core.
+  explicit BasicControlCore(BrakePort& port, const SupervisorSettings& settings = {},
+                            std::size_t ring_capacity = kRingCapacity, const Policy& policy = kPolicy)
+      : port_(port), settings_(settings), supervisor_(settings, policy), ring_(ring_capacity) {}
+
+  /// Everything that happens in one period. `lateness_ns` is the wake-up's, `skipped_periods` how many grid
+  /// points passed without a tick just before this one. Sends exactly one command.
+  CLAMPD_REALTIME void tick(std::int64_t now_ns, std::int64_t lateness_ns,
+                            std::uint64_t skipped_periods) noexcept {
+    const std::size_t received = std::min(port_.receive(feedback_, now_ns), feedback_.size());
+    begin(now_ns, skipped_periods);
+    for (std::size_t i = 0; i < received; ++i) take(feedback_[i], logged_[i], now_ns, lateness_ns);
+    supervisor_.end_samples();
+    start_if_requested();
+
+    const TorqueCommand command = safe_command();
+    const bool handed_over = port_.send(command, now_ns);
+    // Of several samples in one tick only the last is answered: the command before still acted after the
+    // others.
+    for (std::size_t i = 0; i < received; ++i) {
+      logged_[i].torque_command_Nm = i + 1 == received ? command.torque_Nm : sent_torque_Nm_;
+    }
+    sent_torque_Nm_ = command.torque_Nm;
+    supervisor_.sent(handed_over, command.torque_Nm);
+
+    log(received);
+    publish(lateness_ns, skipped_periods);
+  }
+
+  /// The loop's last act: drive off, and a running check counted as ended by a stop.
+  CLAMPD_REALTIME void shutdown(std::int64_t now_ns) noexcept {
+    supervisor_.raise(FaultCause::OperatorStop);
+    port_.send(TorqueCommand{}, now_ns);
+    end_check_on_fault();
+    publish_state();
+  }
+
+  SampleRing& ring() noexcept { return ring_; }
+  const StatusBoard& status() const noexcept { return status_; }
+  RequestBoard& requests() noexcept { return requests_; }
+  PortHealth health() const noexcept { return health_.load(); }
+  /// Wake-up lateness within the present or last check.
+  const DurationHistogram& lateness() const noexcept { return lateness_; }
+  /// Samples before the latest fault, including the one that showed it.
+  const FlightRecorder& flight_recorder() const noexcept { return recorder_; }
+
+ private:
+  void begin(std::int64_t now_ns, std::uint64_t skipped_periods) noexcept {
+    TickInputs inputs;
+    inputs.now_ns = now_ns;
+    inputs.skipped_periods = skipped_periods;
+    inputs.health = port_.health();
+    inputs.emergency_stop = requests_.emergency_stop.load(std::memory_order_acquire);
+    inputs.operator_stop = requests_.stop.exchange(false, std::memory_order_acq_rel);
+    inputs.clear = requests_.clear.exchange(false, std::memory_order_acq_rel);
+    // Before the clear is looked at: a plan from before the fault was cleared must not start after it.
+    if (inputs.operator_stop || supervisor_.state() == StationState::Fault) refuse_plan();
+    supervisor_.begin_tick(inputs);
+    health_.store(inputs.health);
+    port_lost_samples_ = inputs.health.lost_samples;
+  }
+
+  void take(const BrakeFeedback& feedback, Sample& sample, std::int64_t now_ns,
+            std::int64_t lateness_ns) noexcept {
+    const bool ran = supervisor_.sequence_runs();
+    supervisor_.observe(feedback);
+    SequenceOutput output;
+    if (supervisor_.sequence_runs()) {
+      if (!ran) sequence_.start(plan_);
+      output = sequence_.step(feedback);
+      torque_Nm_ = output.torque_Nm;
+      supervisor_.raise(output.fault);
+      if (!std::isfinite(output.torque_Nm)) supervisor_.raise(FaultCause::NonFinite);
+      supervisor_.follow(output.phase, sequence_.done());
+      if (supervisor_.state() == StationState::Idle) end_check();
+    }
+    sample.sample_index = feedback.sample_index;
+    sample.brake_time_ns = feedback.brake_time_ns;
+    sample.host_time_ns = now_ns;
+    sample.torque_Nm = feedback.torque_Nm;
+    sample.velocity_rad_s = feedback.velocity_rad_s;
+    sample.force_N = feedback.force_N;
+    sample.position_rad = feedback.position_rad;
+    sample.force_reference_N = output.force_reference_N;
+    sample.lateness_ns = static_cast<std::int32_t>(std::min<std::int64_t>(lateness_ns, INT32_MAX));
+    sample.trajectory_index = output.trajectory_index;
+    sample.repeat = output.repeat;
+    sample.state = supervisor_.state();
+    sample.phase = output.phase;
+    sample.fault = supervisor_.fault();
+  }
+
+  void start_if_requested() noexcept {
+    if (supervisor_.state() != StationState::Idle) return;
+    const CheckPlan* plan = requests_.plan.exchange(nullptr, std::memory_order_acq_rel);
+    if (plan == nullptr) return;
+    plan_ = plan;
+    supervisor_.arm();
+    lateness_.reset();
+    status_.check_ticks.store(0, std::memory_order_relaxed);
+    status_.check_skipped.store(0, std::memory_order_relaxed);
+    status_.check_ring_drops.store(0, std::memory_order_relaxed);
+    lost_samples_before_check_ = port_lost_samples_;
+  }
+
+  void refuse_plan() noexcept {
+    if (requests_.plan.exchange(nullptr, std::memory_order_acq_rel) != nullptr) ++finished_;
+  }
+
+  void end_check() noexcept {
+    plan_ = nullptr;
+    torque_Nm_ = 0.0;
+    ++finished_;
+  }
+
+  void end_check_on_fault() noexcept {
+    if (plan_ == nullptr || supervisor_.state() != StationState::Fault) return;
+    sequence_.abandon();
+    end_check();
+  }
+
+  // The last word on what leaves the station: whatever happened above, nothing but a finite, limited torque
+  // of a running check passes.
+  TorqueCommand safe_command() noexcept {
+    if (supervisor_.sequence_runs()) {
+      const double limit_Nm = std::max(0.0, std::min(settings_.torque_limit_Nm, plan_->torque_limit_Nm));
+      const double torque_Nm = std::clamp(torque_Nm_, -limit_Nm, limit_Nm);
+      if (std::isfinite(torque_Nm)) return TorqueCommand{torque_Nm, true};
+      supervisor_.raise(FaultCause::NonFinite);
+    }
+    torque_Nm_ = 0.0;
+    return TorqueCommand{0.0, supervisor_.state() == StationState::Armed};
+  }
+
+  void log(std::size_t received) noexcept {
+    for (std::size_t i = 0; i < received; ++i) {
+      recorder_.push(logged_[i]);
+      if (!ring_.push(logged_[i])) {
+        bump(status_.ring_drops, 1);
+        if (plan_ != nullptr) bump(status_.check_ring_drops, 1);
+      }
+    }
+    if (received > 0) {
+      const Sample& last = logged_[received - 1];
+      status_.force_N.store(last.force_N, std::memory_order_relaxed);
+      status_.velocity_rad_s.store(last.velocity_rad_s, std::memory_order_relaxed);
+      status_.torque_Nm.store(last.torque_Nm, std::memory_order_relaxed);
+      status_.phase.store(last.phase, std::memory_order_relaxed);
+      status_.repeat.store(last.repeat, std::memory_order_relaxed);
+    }
+  }
+
+  void publish(std::int64_t lateness_ns, std::uint64_t skipped_periods) noexcept {
+    bump(status_.ticks, 1);
+    bump(status_.skipped, skipped_periods);
+    if (plan_ != nullptr) {
+      lateness_.record(lateness_ns);
+      bump(status_.check_ticks, 1);
+      bump(status_.check_skipped, skipped_periods);
+      status_.check_lost_samples.store(port_lost_samples_ - lost_samples_before_check_,
+                                       std::memory_order_relaxed);
+    }
+    const bool in_fault = supervisor_.state() == StationState::Fault;
+    if (!in_fault) {
+      captured_ = false;
+    } else if (!captured_) {
+      captured_ = recorder_.capture();
+    }
+    end_check_on_fault();
+    publish_state();
+  }
+
+  void publish_state() noexcept {
+    status_.fault.store(supervisor_.fault(), std::memory_order_relaxed);
+    status_.fault_time_ns.store(supervisor_.fault_time_ns(), std::memory_order_relaxed);
+    status_.fault_state.store(supervisor_.fault_state(), std::memory_order_relaxed);
+    status_.clearable.store(supervisor_.clearable(), std::memory_order_relaxed);
+    status_.state.store(supervisor_.state(), std::memory_order_release);
+    status_.checks_finished.store(finished_, std::memory_order_release);
+  }
+
+  // With one writer a load and a store suffice.
+  static void bump(std::atomic<std::uint64_t>& counter, std::uint64_t amount) noexcept {
+    counter.store(counter.load(std::memory_order_relaxed) + amount, std::memory_order_relaxed);
+  }
+
+  BrakePort& port_;
+  const SupervisorSettings settings_;
+  Supervisor supervisor_;
+  Sequence sequence_;
+  const CheckPlan* plan_ = nullptr;
+  double torque_Nm_ = 0.0;       ///< what the sequence wants from the next sample on; held over an empty tick
+  double sent_torque_Nm_ = 0.0;  ///< what acts since the last tick
+  std::uint64_t finished_ = 0;
+  std::uint64_t port_lost_samples_ = 0;
+  std::uint64_t lost_samples_before_check_ = 0;
+  bool captured_ = false;
+  std::array<BrakeFeedback, kReceiveCapacity> feedback_{};
+  std::array<Sample, kReceiveCapacity> logged_{};
+
+  SampleRing ring_;
+  FlightRecorder recorder_;
+  DurationHistogram lateness_;
+  StatusBoard status_;
+  RequestBoard requests_;
+  HealthBoard health_;
+};
+
+using ControlCore = BasicControlCore<CheckSequence>;
 
 }  // namespace clampd::rt

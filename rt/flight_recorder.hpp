@@ -1,0 +1,62 @@
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstddef>
+#include <thread>
+#include <vector>
+
+#include "clampd/base/realtime.hpp"
+#include "clampd/record/sample.hpp"
+
+namespace clampd::rt {
+
+/// Keeps the last samples and, at a fault, a copy of them for other threads to read.
+/// The loop never waits: while a reader holds the copy, the capture is put off to the next tick.
+class FlightRecorder {
+ public:
+  static constexpr std::size_t kCapacity = 512;
+
+  /// Loop only.
+  CLAMPD_REALTIME void push(const Sample& sample) noexcept {
+    live_[written_ % kCapacity] = sample;
+    ++written_;
+  }
+
+  /// Copies what push() took, oldest first. False if a reader holds the copy: try again later. Loop only.
+  CLAMPD_REALTIME bool capture() noexcept {
+    Holder expected = Holder::Nobody;
+    if (!holder_.compare_exchange_strong(expected, Holder::Loop, std::memory_order_acquire)) return false;
+    const std::size_t size = written_ < kCapacity ? written_ : kCapacity;
+    for (std::size_t i = 0; i < size; ++i) captured_[i] = live_[(written_ - size + i) % kCapacity];
+    captured_size_ = size;
+    holder_.store(Holder::Nobody, std::memory_order_release);
+    return true;
+  }
+
+  /// The samples up to the latest captured fault, oldest first; empty before the first fault. Any other
+  /// thread.
+  std::vector<Sample> last_capture() const {
+    std::vector<Sample> samples;
+    samples.reserve(kCapacity);
+    Holder expected = Holder::Nobody;
+    while (!holder_.compare_exchange_weak(expected, Holder::Reader, std::memory_order_acquire)) {
+      expected = Holder::Nobody;
+      std::this_thread::yield();
+    }
+    samples.assign(captured_.begin(), captured_.begin() + static_cast<std::ptrdiff_t>(captured_size_));
+    holder_.store(Holder::Nobody, std::memory_order_release);
+    return samples;
+  }
+
+ private:
+  enum class Holder : unsigned char { Nobody, Loop, Reader };
+
+  std::array<Sample, kCapacity> live_{};
+  std::size_t written_ = 0;
+  mutable std::atomic<Holder> holder_{Holder::Nobody};
+  std::array<Sample, kCapacity> captured_{};
+  std::size_t captured_size_ = 0;
+};
+
+}  // namespace clampd::rt

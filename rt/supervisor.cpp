@@ -1,0 +1,287 @@
+#include "rt/supervisor.hpp"
+
+#include <cmath>
+#include <string>
+
+namespace clampd::rt {
+namespace {
+
+// A port that was opened again starts its counts at zero: that is no event.
+std::uint64_t increase(std::uint64_t now, std::uint64_t before) noexcept {
+  return now > before ? now - before : 0;
+}
+
+}  // namespace
+
+Result<void> SupervisorSettings::validate() const {
+  const auto positive = [](double value) { return std::isfinite(value) && value > 0.0; };
+  const struct {
+    const char* name;
+    bool valid;
+  } checks[] = {
+      {"startup_timeout_ns", startup_timeout_ns > 0},
+      {"good_samples_to_idle", good_samples_to_idle > 0},
+      {"good_samples_to_run", good_samples_to_run > 0},
+      {"armed_timeout_ns", armed_timeout_ns > 0},
+      {"stale_ns (more than one period)", stale_ns > kPeriod_ns},
+      {"event_window_ns", event_window_ns > 0},
+      {"clock_tolerance_ns", clock_tolerance_ns > 0},
+      {"force_limit_N", positive(force_limit_N)},
+      {"speed_limit_rad_s", positive(speed_limit_rad_s)},
+      {"torque_limit_Nm", positive(torque_limit_Nm)},
+      {"travel_limit_rad", positive(travel_limit_rad)},
+      {"opening_velocity_rad_s", positive(opening_velocity_rad_s)},
+      {"plausible_force_N (more than force_limit_N)",
+       positive(plausible_force_N) && plausible_force_N > force_limit_N},
+      {"plausible_velocity_rad_s (more than speed_limit_rad_s)",
+       positive(plausible_velocity_rad_s) && plausible_velocity_rad_s > speed_limit_rad_s},
+      {"plausible_torque_Nm (more than torque_limit_Nm)",
+       positive(plausible_torque_Nm) && plausible_torque_Nm > torque_limit_Nm},
+      {"plausible_jump_rad", positive(plausible_jump_rad)},
+      {"clear_quiet_ns (more than stale_ns)", clear_quiet_ns > stale_ns},
+  };
+  for (const auto& check : checks) {
+    if (!check.valid) {
+      return failure(std::string("supervisor settings: ") + check.name +
+                     " must be positive and consistent; correct it in the station's configuration");
+    }
+  }
+  return {};
+}
+
+bool Supervisor::EventBudget::exceeded_by(std::uint64_t events, std::int64_t now_ns, std::int64_t window_ns,
+                                          std::uint64_t tolerated) noexcept {
+  if (count_ > 0 && now_ns - first_ns_ > window_ns) count_ = 0;
+  if (events == 0) return false;
+  if (count_ == 0) first_ns_ = now_ns;
+  count_ += events;
+  return count_ > tolerated;
+}
+
+void Supervisor::enter_init() noexcept {
+  state_ = StationState::Init;
+  fault_ = FaultCause::None;
+  state_entered_ns_ = now_ns_;
+  init_trouble_ = FaultCause::None;
+  init_saw_sample_ = false;
+  good_samples_ = 0;
+}
+
+void Supervisor::raise(FaultCause cause) noexcept {
+  if (cause == FaultCause::None) return;
+  const FaultRule& rule = (*policy_)[static_cast<std::size_t>(cause)];
+  good_samples_ = 0;
+  if (rule.clear == ClearCondition::WhenGone) last_trouble_ns_ = now_ns_;
+  switch (state_) {
+    case StationState::Fault:
+      return;  // the first cause stays
+    case StationState::Init:
+      if (rule.scope != FaultScope::Always) {
+        if (rule.scope == FaultScope::Ready) init_trouble_ = cause;
+        return;
+      }
+      break;
+    case StationState::Idle:
+      if (rule.scope == FaultScope::Check) return;
+      break;
+    case StationState::Armed:
+    case StationState::Running:
+    case StationState::Releasing:
+      break;
+  }
+  latch(cause);
+}
+
+void Supervisor::latch(FaultCause cause) noexcept {
+  fault_state_ = state_;
+  state_ = StationState::Fault;
+  fault_ = cause;
+  fault_time_ns_ = now_ns_;
+  state_entered_ns_ = now_ns_;
+  phase_ = CheckPhase::None;
+}
+
+bool Supervisor::clearable() const noexcept {
+  if (state_ != StationState::Fault) return false;
+  const FaultRule& rule = (*policy_)[static_cast<std::size_t>(fault_)];
+  return rule.clear == ClearCondition::AtOnce || now_ns_ - last_trouble_ns_ > settings_.clear_quiet_ns;
+}
+
+void Supervisor::begin_tick(const TickInputs& inputs) noexcept {
+  now_ns_ = inputs.now_ns;
+  if (!started_) {
+    started_ = true;
+    last_health_ = inputs.health;
+    last_sample_ns_ = now_ns_;
+    enter_init();
+  }
+  // Emergency stop first: should several causes meet, the operator's own is the one to report.
+  if (inputs.emergency_stop) raise(FaultCause::EmergencyStop);
+  if (inputs.operator_stop) raise(FaultCause::OperatorStop);
+  check_link(inputs.health);
+  if (in_check() && inputs.skipped_periods > 0) {
+    skipped_in_check_ += inputs.skipped_periods;
+    if (inputs.skipped_periods > settings_.skipped_in_a_row_tolerated ||
+        skipped_in_check_ > settings_.skipped_per_check_tolerated) {
+      raise(FaultCause::MissedTicks);
+    }
+  }
+  if (inputs.clear && clearable()) enter_init();
+}
+
+void Supervisor::check_link(const PortHealth& health) noexcept {
+  if (health.link == LinkState::BusOff || increase(health.bus_off_events, last_health_.bus_off_events) > 0) {
+    raise(FaultCause::BusOff);
+  }
+  if (health.link == LinkState::Down || health.link == LinkState::Gone) raise(FaultCause::LinkDown);
+  const std::int64_t window_ns = settings_.event_window_ns;
+  if (corrupt_.exceeded_by(increase(health.crc_errors, last_health_.crc_errors), now_ns_, window_ns,
+                           settings_.corrupt_tolerated)) {
+    raise(FaultCause::FeedbackCorrupt);
+  }
+  if (frozen_.exceeded_by(increase(health.counter_errors, last_health_.counter_errors), now_ns_, window_ns,
+                          settings_.frozen_tolerated)) {
+    raise(FaultCause::FeedbackFrozen);
+  }
+  if (implausible_.exceeded_by(increase(health.implausible, last_health_.implausible), now_ns_, window_ns,
+                               settings_.implausible_tolerated)) {
+    raise(FaultCause::FeedbackImplausible);
+  }
+  last_health_ = health;
+}
+
+void Supervisor::observe(const BrakeFeedback& feedback) noexcept {
+  last_sample_ns_ = now_ns_;
+  init_saw_sample_ = true;
+  ++good_samples_;  // a raise() below starts the count over
+  if (!plausible(feedback)) {
+    has_previous_ = false;
+    raise(FaultCause::FeedbackImplausible);
+    return;
+  }
+  check_stream(feedback);
+  check_limits(feedback);
+  previous_ = feedback;
+  has_previous_ = true;
+  advance(feedback);
+}
+
+bool Supervisor::plausible(const BrakeFeedback& feedback) const noexcept {
+  // Written so that NaN fails.
+  return std::abs(feedback.force_N) <= settings_.plausible_force_N &&
+         std::abs(feedback.velocity_rad_s) <= settings_.plausible_velocity_rad_s &&
+         std::abs(feedback.torque_Nm) <= settings_.plausible_torque_Nm &&
+         std::isfinite(feedback.position_rad);
+}
+
+void Supervisor::check_stream(const BrakeFeedback& feedback) noexcept {
+  if (!has_previous_) return;
+  const std::int64_t samples = feedback.sample_index - previous_.sample_index;
+  const std::int64_t elapsed_ns = feedback.brake_time_ns - previous_.brake_time_ns;
+  if (samples <= 0 || std::abs(elapsed_ns - samples * kPeriod_ns) > settings_.clock_tolerance_ns) {
+    raise(FaultCause::FeedbackFrozen);
+    return;
+  }
+  const double elapsed_s = static_cast<double>(elapsed_ns) * 1e-9;
+  const double unexplained_rad =
+      std::abs(feedback.position_rad - previous_.position_rad -
+               0.5 * (feedback.velocity_rad_s + previous_.velocity_rad_s) * elapsed_s);
+  if (unexplained_rad > settings_.plausible_jump_rad * static_cast<double>(samples)) {
+    raise(FaultCause::FeedbackImplausible);
+  }
+  if (samples > 1 && phase_ == CheckPhase::Trajectory) {
+    lost_in_check_ += static_cast<std::uint64_t>(samples - 1);
+    if (lost_in_check_ > settings_.lost_samples_tolerated) raise(FaultCause::SampleLost);
+  }
+}
+
+void Supervisor::check_limits(const BrakeFeedback& feedback) noexcept {
+  const bool drive_dropped_out = sequence_runs() && settings_.drive_reports_live && !feedback.drive_enabled;
+  if (feedback.brake_fault || feedback.watchdog_tripped || drive_dropped_out) raise(FaultCause::BrakeFault);
+  const bool closing =
+      last_torque_sent_Nm_ > 0.0 || feedback.velocity_rad_s > settings_.opening_velocity_rad_s;
+  if (feedback.force_N > settings_.force_limit_N && closing) raise(FaultCause::OverForce);
+  if (std::abs(feedback.velocity_rad_s) > settings_.speed_limit_rad_s) raise(FaultCause::OverSpeed);
+  if (std::abs(feedback.torque_Nm) > settings_.torque_limit_Nm) raise(FaultCause::OverTorque);
+  if (in_check()) {
+    if (!travel_known_) {
+      travel_known_ = true;
+      travel_origin_rad_ = feedback.position_rad;
+    }
+    if (std::abs(feedback.position_rad - travel_origin_rad_) > settings_.travel_limit_rad) {
+      raise(FaultCause::OverTravel);
+    }
+  }
+}
+
+void Supervisor::advance(const BrakeFeedback& feedback) noexcept {
+  switch (state_) {
+    case StationState::Init:
+      if (good_samples_ >= settings_.good_samples_to_idle) {
+        state_ = StationState::Idle;
+        state_entered_ns_ = now_ns_;
+      }
+      break;
+    case StationState::Armed:
+      if (settings_.drive_reports_live && !feedback.drive_enabled) good_samples_ = 0;
+      if (good_samples_ >= settings_.good_samples_to_run) {
+        state_ = StationState::Running;
+        state_entered_ns_ = now_ns_;
+      }
+      break;
+    case StationState::Idle:
+    case StationState::Running:
+    case StationState::Releasing:
+    case StationState::Fault:
+      break;
+  }
+}
+
+bool Supervisor::arm() noexcept {
+  if (state_ != StationState::Idle) return false;
+  state_ = StationState::Armed;
+  state_entered_ns_ = now_ns_;
+  good_samples_ = 0;
+  travel_known_ = false;
+  skipped_in_check_ = 0;
+  lost_in_check_ = 0;
+  phase_ = CheckPhase::None;
+  return true;
+}
+
+void Supervisor::follow(CheckPhase phase, bool done) noexcept {
+  if (!sequence_runs()) return;
+  phase_ = phase;
+  if (done) {
+    state_ = StationState::Idle;
+    state_entered_ns_ = now_ns_;
+    phase_ = CheckPhase::None;
+  } else if (phase == CheckPhase::Release && state_ == StationState::Running) {
+    state_ = StationState::Releasing;
+    state_entered_ns_ = now_ns_;
+  }
+}
+
+void Supervisor::end_samples() noexcept {
+  if (now_ns_ - last_sample_ns_ > settings_.stale_ns) raise(FaultCause::FeedbackStale);
+  const std::int64_t in_state_ns = now_ns_ - state_entered_ns_;
+  if (state_ == StationState::Init && in_state_ns > settings_.startup_timeout_ns) {
+    const FaultCause trouble = init_trouble_;
+    const bool silent =
+        trouble == FaultCause::None || (trouble == FaultCause::FeedbackStale && !init_saw_sample_);
+    latch(silent ? FaultCause::FeedbackMissing : trouble);
+  }
+  if (state_ == StationState::Armed && in_state_ns > settings_.armed_timeout_ns)
+    raise(FaultCause::BrakeFault);
+}
+
+void Supervisor::sent(bool handed_over, double torque_Nm) noexcept {
+  last_torque_sent_Nm_ = torque_Nm;
+  if (handed_over) {
+    send_failures_in_a_row_ = 0;
+  } else if (++send_failures_in_a_row_ > settings_.send_failures_tolerated) {
+    raise(FaultCause::SendFailed);
+  }
+}
+
+}  // namespace clampd::rt

@@ -1,0 +1,159 @@
+#pragma once
+
+#include <cstdint>
+
+#include "clampd/base/clock.hpp"
+#include "clampd/base/realtime.hpp"
+#include "clampd/base/result.hpp"
+#include "clampd/record/brake_port.hpp"
+#include "clampd/record/sample.hpp"
+#include "rt/policy.hpp"
+
+namespace clampd::rt {
+
+/// Thresholds of the causes in rt/policy.hpp. The defaults fit the paper's brake (30 kN, 300 rad/s, 3 N m).
+struct SupervisorSettings {
+  std::int64_t startup_timeout_ns = 2 * kNanosecondsPerSecond;  ///< INIT: good feedback must come within
+  int good_samples_to_idle = 20;                                ///< in a row, INIT to IDLE
+  int good_samples_to_run = 10;                                 ///< in a row at zero torque, ARMED to RUNNING
+  std::int64_t armed_timeout_ns = 500 * kNanosecondsPerMillisecond;
+
+  /// Two empty ticks happen when the phases of brake and host drift past each other; the third is a fault.
+  /// The half period keeps wake-up jitter out of the decision.
+  std::int64_t stale_ns = 2 * kPeriod_ns + kPeriod_ns / 2;
+
+  std::int64_t event_window_ns = 10 * kNanosecondsPerMillisecond;  ///< for the three counts below
+  /// The CAN controller's own CRC already catches wire noise, so a wrong CRC-8 means a broken node: tolerate
+  /// none.
+  std::uint64_t corrupt_tolerated = 0;
+  /// CAN may deliver one frame twice (an error in its last bit), so one repeated counter is healthy.
+  std::uint64_t frozen_tolerated = 1;
+  std::uint64_t implausible_tolerated = 0;
+  std::int64_t clock_tolerance_ns = kPeriod_ns / 5;  ///< brake clock step against its sample count
+  std::uint64_t send_failures_tolerated = 1;         ///< in a row
+  std::uint64_t lost_samples_tolerated = 0;          ///< within one check's trajectories
+
+  double force_limit_N = 33e3;
+  double speed_limit_rad_s = 350.0;
+  double torque_limit_Nm = 4.0;     ///< measured; commands are limited to it too
+  double travel_limit_rad = 120.0;  ///< from where the check started
+  /// Over-force is no fault while the drive opens or rests: otherwise a clamped brake could never be opened
+  /// again.
+  double opening_velocity_rad_s = 10.0;
+
+  double plausible_force_N = 60e3;  ///< magnitude beyond which a reading is a defect
+  double plausible_velocity_rad_s = 1000.0;
+  double plausible_torque_Nm = 20.0;
+  double plausible_jump_rad = 1.0;  ///< position step against velocity, per sample
+
+  std::uint64_t skipped_in_a_row_tolerated = 2;
+  std::uint64_t skipped_per_check_tolerated = 5;
+
+  bool drive_reports_live = true;  ///< false for a brake whose feedback has no drive-enabled signal
+  std::int64_t clear_quiet_ns = 50 * kNanosecondsPerMillisecond;
+
+  /// Error: a threshold that is not positive and finite, or an empty plausible range; the message names it.
+  Result<void> validate() const;
+};
+
+/// What the supervisor learns at the beginning of a tick.
+struct TickInputs {
+  std::int64_t now_ns = 0;
+  std::uint64_t skipped_periods = 0;
+  PortHealth health;
+  bool emergency_stop = false;
+  bool operator_stop = false;
+  bool clear = false;
+};
+
+/// The station's state machine: INIT -> IDLE -> ARMED -> RUNNING -> RELEASING -> IDLE, and FAULT from
+/// anywhere. Mechanism only: what each cause means stands in the policy. No I/O, no clock of its own.
+///
+/// A tick calls begin_tick, then for each sample observe and (while sequence_runs()) follow, then
+/// end_samples, then sent. FAULT keeps its first cause until the cause is gone and the operator clears; then
+/// the station starts over at INIT, and moves again only for a new check.
+class Supervisor {
+ public:
+  /// `policy` must outlive the supervisor.
+  explicit Supervisor(const SupervisorSettings& settings, const Policy& policy = kPolicy) noexcept
+      : settings_(settings), policy_(&policy) {}
+
+  CLAMPD_REALTIME void begin_tick(const TickInputs& inputs) noexcept;
+  CLAMPD_REALTIME void observe(const BrakeFeedback& feedback) noexcept;
+  /// Where the check stands after its step on the sample just observed.
+  CLAMPD_REALTIME void follow(CheckPhase phase, bool done) noexcept;
+  CLAMPD_REALTIME void end_samples() noexcept;
+  CLAMPD_REALTIME void sent(bool handed_over, double torque_Nm) noexcept;
+
+  /// Starts a check. False, and nothing happens, unless IDLE.
+  CLAMPD_REALTIME bool arm() noexcept;
+  /// Reports a cause. What it does depends on the policy and the state.
+  CLAMPD_REALTIME void raise(FaultCause cause) noexcept;
+
+  CLAMPD_REALTIME StationState state() const noexcept { return state_; }
+  CLAMPD_REALTIME FaultCause fault() const noexcept { return fault_; }
+  /// When the fault was latched, and in which state: only meaningful in FAULT.
+  CLAMPD_REALTIME std::int64_t fault_time_ns() const noexcept { return fault_time_ns_; }
+  CLAMPD_REALTIME StationState fault_state() const noexcept { return fault_state_; }
+  /// In FAULT: would a clear be accepted now?
+  CLAMPD_REALTIME bool clearable() const noexcept;
+  CLAMPD_REALTIME bool in_check() const noexcept { return state_ == StationState::Armed || sequence_runs(); }
+  CLAMPD_REALTIME bool sequence_runs() const noexcept {
+    return state_ == StationState::Running || state_ == StationState::Releasing;
+  }
+
+ private:
+  /// Counts events and forgets them a window after the first.
+  class EventBudget {
+   public:
+    bool exceeded_by(std::uint64_t events, std::int64_t now_ns, std::int64_t window_ns,
+                     std::uint64_t tolerated) noexcept;
+
+   private:
+    std::int64_t first_ns_ = 0;
+    std::uint64_t count_ = 0;
+  };
+
+  void enter_init() noexcept;
+  void latch(FaultCause cause) noexcept;
+  void check_link(const PortHealth& health) noexcept;
+  void check_stream(const BrakeFeedback& feedback) noexcept;
+  void check_limits(const BrakeFeedback& feedback) noexcept;
+  bool plausible(const BrakeFeedback& feedback) const noexcept;
+  void advance(const BrakeFeedback& feedback) noexcept;
+
+  SupervisorSettings settings_;
+  const Policy* policy_;
+
+  StationState state_ = StationState::Init;
+  FaultCause fault_ = FaultCause::None;
+  StationState fault_state_ = StationState::Init;
+  std::int64_t fault_time_ns_ = 0;
+
+  std::int64_t now_ns_ = 0;
+  bool started_ = false;
+  std::int64_t state_entered_ns_ = 0;
+  std::int64_t last_sample_ns_ = 0;
+  std::int64_t last_trouble_ns_ = 0;  ///< a standing cause was seen, whatever the state
+  FaultCause init_trouble_ = FaultCause::None;
+  bool init_saw_sample_ = false;
+  int good_samples_ = 0;
+
+  PortHealth last_health_;
+  EventBudget corrupt_;
+  EventBudget frozen_;
+  EventBudget implausible_;
+  std::uint64_t send_failures_in_a_row_ = 0;
+  double last_torque_sent_Nm_ = 0.0;
+
+  bool has_previous_ = false;
+  BrakeFeedback previous_;
+  CheckPhase phase_ = CheckPhase::None;
+
+  bool travel_known_ = false;
+  double travel_origin_rad_ = 0.0;
+  std::uint64_t skipped_in_check_ = 0;
+  std::uint64_t lost_in_check_ = 0;
+};
+
+}  // namespace clampd::rt
