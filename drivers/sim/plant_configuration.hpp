@@ -1,0 +1,67 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "clampd/base/result.hpp"
+#include "clampd/brake/parameters.hpp"
+#include "drivers/sim/effects.hpp"
+
+namespace clampd::sim {
+
+/// What the simulated brake's sensors add to the truth. Noise is white and Gaussian; a quantum of 0 does not
+/// round.
+struct SensorSettings {
+  double force_noise_N = 0.0;
+  double velocity_noise_rad_s = 0.0;
+  double torque_noise_Nm = 0.0;  ///< on the reading: the commanded torque itself acts undisturbed
+  double position_noise_rad = 0.0;
+  double force_quantum_N = 0.0;
+  double velocity_quantum_rad_s = 0.0;
+  double torque_quantum_Nm = 0.0;
+  double position_quantum_rad = 0.0;
+  double force_offset_N = 0.0;  ///< of an untared load cell
+  double velocity_offset_rad_s = 0.0;
+};
+
+/// Scripted misbehaviour of the brake on the bus; whoever puts the feedback on a bus applies it.
+enum class FaultKind : std::uint8_t { CorruptCrc, FrozenCounter, ImpossibleValues, Silent };
+std::string_view to_string(FaultKind kind) noexcept;  ///< as in the file: "corrupt-crc", ...
+
+struct ScriptedFault {
+  FaultKind kind = FaultKind::Silent;
+  double at_s = 0.0;  ///< on the brake's clock
+  double duration_s = 0.0;
+
+  bool active(double time_s) const noexcept { return time_s >= at_s && time_s < at_s + duration_s; }
+};
+
+/// Everything that makes one simulated brake; together with its seed it determines every reading.
+struct PlantConfiguration {
+  BrakeParameters brake;  ///< the truth
+  SensorSettings sensors;
+  Effects effects;
+  std::uint64_t seed = 1;
+  double clearance_rad = 6.0;     ///< starts at rest, open by this much
+  double encoder_zero_rad = 0.0;  ///< encoder reading at the contact point
+  double open_stop_rad = 26.0;    ///< mechanical end stop, this far open from contact
+  double closed_stop_rad = 90.0;  ///< and this far closed
+  double torque_limit_Nm = 3.0;   ///< of the drive, both directions
+  double watchdog_s = 0.020;      ///< without a valid command, torque is zero by then
+  double step_s = 20e-6;          ///< of the integrator, at most 20 us
+  std::vector<ScriptedFault> faults;
+
+  bool fault_active(FaultKind kind, double time_s) const noexcept;
+
+  /// Names the first setting that is not finite or outside of its range.
+  Result<void> validate() const;
+};
+
+/// Reads [parameters] or [parameters_normalised] and [fixed] (as `read_brake_parameters`), [plant],
+/// [sensors], [effects] (name = value) and [[fault]] (kind, at_s, duration_s). What is not named keeps its
+/// default; an unknown table or key is an error that names file and line.
+Result<PlantConfiguration> read_plant_configuration(const std::string& path);
+
+}  // namespace clampd::sim

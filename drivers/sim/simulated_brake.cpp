@@ -1,0 +1,241 @@
+#include "drivers/sim/simulated_brake.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "clampd/base/assert.hpp"
+#include "clampd/base/clock.hpp"
+
+namespace clampd::sim {
+namespace {
+
+double quantised(double value, double quantum) noexcept {
+  return quantum > 0.0 ? std::round(value / quantum) * quantum : value;
+}
+
+}  // namespace
+
+SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration)
+    : configuration_(configuration), random_(configuration.seed) {
+  CLAMPD_ASSERT(configuration.validate().has_value());
+  state_.position_rad = -configuration.clearance_rad;
+  state_.pad_position_rad = state_.position_rad;
+  state_.force_N = pad_force(0.0);
+  state_.relaxed_N = state_.force_N;
+  state_.filtered_force_N = state_.force_N;
+  force_history_N_.fill(state_.force_N);
+}
+
+void SimulatedBrake::command(const TorqueCommand& command) noexcept {
+  newest_ = command;
+  fresh_ = true;
+}
+
+BrakeFeedback SimulatedBrake::sample() noexcept {
+  latch_command();
+  const BrakeFeedback feedback = read();
+  advance();
+  ++index_;
+  return feedback;
+}
+
+void SimulatedBrake::latch_command() noexcept {
+  if (fresh_) {
+    fresh_ = false;
+    silent_samples_ = 0;
+    if (!newest_.enable) tripped_ = false;
+    enabled_ = newest_.enable && !tripped_;
+    torque_Nm_ =
+        enabled_ && std::isfinite(newest_.torque_Nm)
+            ? std::clamp(newest_.torque_Nm, -configuration_.torque_limit_Nm, configuration_.torque_limit_Nm)
+            : 0.0;
+  } else {
+    // The last command may be up to one sample older than the instant that latched it: count it as that old,
+    // so that the torque is zero no later than watchdog_s after the command came.
+    ++silent_samples_;
+    if (enabled_ &&
+        static_cast<double>(silent_samples_ + 1) * kPeriod_s >= configuration_.watchdog_s - 1e-9) {
+      tripped_ = true;
+      enabled_ = false;
+      torque_Nm_ = 0.0;
+    }
+  }
+}
+
+BrakeFeedback SimulatedBrake::read() noexcept {
+  const SensorSettings& sensors = configuration_.sensors;
+  const Effects& effects = configuration_.effects;
+  const double time_s = static_cast<double>(index_) * kPeriod_s;
+  if (effects.torque_lag_s <= 0.0) state_.torque_Nm = torque_Nm_;
+  truth_ = {time_s,  state_.position_rad, state_.velocity_rad_s, state_.force_N, state_.torque_Nm, enabled_,
+            tripped_};
+
+  force_history_N_[static_cast<std::size_t>(index_) % kHistory] =
+      effects.force_lag_s > 0.0 ? state_.filtered_force_N : state_.force_N;
+  const auto history = [this](std::int64_t age) {
+    return force_history_N_[static_cast<std::size_t>(std::max<std::int64_t>(index_ - age, 0)) % kHistory];
+  };
+  const auto whole = static_cast<std::int64_t>(effects.channel_skew);
+  const double part = effects.channel_skew - static_cast<double>(whole);
+  double force_N = (1.0 - part) * history(whole) + part * history(whole + 1);
+  force_N += effects.force_offset_N + sensors.force_offset_N +
+             effects.force_hum_N * std::sin(2.0 * std::numbers::pi * kHumFrequency_Hz * time_s + 0.4);
+  if (effects.outliers > 0.0) {
+    const double draw = std::generate_canonical<double, 53>(random_);
+    if (draw < effects.outliers)
+      force_N += draw < 0.5 * effects.outliers ? kOutlierForce_N : -kOutlierForce_N;
+  }
+  force_N += gaussian(sensors.force_noise_N);
+  if (effects.force_saturation_N > 0.0)
+    force_N = std::clamp(force_N, -effects.force_saturation_N, effects.force_saturation_N);
+
+  const double velocity_rad_s =
+      (effects.velocity_lag_s > 0.0 ? state_.filtered_velocity_rad_s : state_.velocity_rad_s) +
+      sensors.velocity_offset_rad_s + gaussian(sensors.velocity_noise_rad_s);
+  const double torque_Nm =
+      (1.0 + effects.torque_gain) * torque_Nm_ + effects.torque_offset_Nm + gaussian(sensors.torque_noise_Nm);
+  const double position_rad =
+      state_.position_rad + configuration_.encoder_zero_rad + gaussian(sensors.position_noise_rad);
+
+  BrakeFeedback feedback;
+  feedback.sample_index = index_;
+  feedback.brake_time_ns = index_ * kPeriod_ns;
+  feedback.torque_Nm = quantised(torque_Nm, sensors.torque_quantum_Nm);
+  feedback.velocity_rad_s = quantised(velocity_rad_s, sensors.velocity_quantum_rad_s);
+  feedback.force_N = quantised(force_N, sensors.force_quantum_N);
+  feedback.position_rad = quantised(position_rad, sensors.position_quantum_rad);
+  feedback.drive_enabled = enabled_;
+  feedback.watchdog_tripped = tripped_;
+  return feedback;
+}
+
+void SimulatedBrake::advance() noexcept {
+  const int steps = static_cast<int>(std::ceil(kPeriod_s / configuration_.step_s - 1e-9));
+  const double h = kPeriod_s / steps;
+  for (int i = 0; i < steps; ++i) step(h);
+}
+
+void SimulatedBrake::step(double h) noexcept {
+  const Effects& effects = configuration_.effects;
+  const ParameterVector& theta = configuration_.brake.theta;
+  const double inertia = configuration_.brake.fixed.inertia_kg_m2 * (1.0 + effects.inertia_error);
+  const double ratio = configuration_.brake.fixed.ratio_m_rad * (1.0 + effects.ratio_error);
+  const double drift = 1.0 + effects.friction_drift * static_cast<double>(run_);
+  const double v = state_.velocity_rad_s;
+
+  if (effects.torque_lag_s > 0.0)
+    state_.torque_Nm += (torque_Nm_ - state_.torque_Nm) * -std::expm1(-h / effects.torque_lag_s);
+
+  const double before_rad = state_.position_rad;
+  state_.position_rad = before_rad + 0.5 * h * v;
+  if (effects.backlash_rad > 0.0)
+    state_.pad_position_rad =
+        std::clamp(state_.pad_position_rad, state_.position_rad, state_.position_rad + effects.backlash_rad);
+  else
+    state_.pad_position_rad = state_.position_rad;
+  const double force_N = pad_force(v);
+
+  double torque_Nm = state_.torque_Nm - ratio * force_N;
+  if (effects.cogging_Nm > 0.0)
+    torque_Nm -= effects.cogging_Nm *
+                 std::sin(kCoggingOrder * (state_.position_rad + configuration_.encoder_zero_rad));
+  const double viscous = theta[Tv] * drift + effects.quadratic_drag_Nm_s2_rad2 * std::abs(v);
+
+  double next = v;
+  if (effects.presliding_rad > 0.0) {
+    // Dahl's bristles in place of the set-valued sign: z' = v - |v| z / z_max, integrated exactly over the
+    // step.
+    const double level = friction_level(std::abs(v), force_N);
+    const double steady_rad = std::copysign(effects.presliding_rad, v);
+    state_.bristle_rad =
+        steady_rad + (state_.bristle_rad - steady_rad) * std::exp(-h * std::abs(v) / effects.presliding_rad);
+    const double friction_Nm = (level + effects.friction_asymmetry_Nm * std::copysign(1.0, v)) *
+                               state_.bristle_rad / effects.presliding_rad;
+    next = (v + h / inertia * (torque_Nm - friction_Nm)) / (1.0 + h / inertia * viscous);
+  } else {
+    const double bias_Nm = effects.friction_asymmetry_Nm;
+    double forward = 0.0, backward = 0.0, impulse = 0.0;
+    // Twice, so that the Stribeck level belongs to the midpoint: second order while sliding.
+    for (int pass = 0; pass < 2; ++pass) {
+      const double level = friction_level(0.5 * std::abs(v + next), force_N);
+      impulse = h / inertia * (torque_Nm - 0.5 * viscous * v);
+      forward = h / inertia * std::max(0.0, level + bias_Nm);
+      backward = h / inertia * std::max(0.0, level - bias_Nm);
+      const double free = v + impulse;
+      const double slip = free > forward ? free - forward : free < -backward ? free + backward : 0.0;
+      next = slip / (1.0 + 0.5 * h / inertia * viscous);
+    }
+    // The projection spends the whole step on stopping. What is left of it belongs to the other direction, if
+    // the torque overcomes the friction at rest: otherwise each reversal under load would come late by part
+    // of a step.
+    if (v != 0.0 && next * v <= 0.0) {
+      const double braking = v > 0.0 ? forward - impulse : backward + impulse;
+      const double left = std::clamp(1.0 - std::abs(v) / std::max(braking, 1e-300), 0.0, 1.0);
+      const double level = friction_level(0.0, force_N);
+      const double push_Nm = torque_Nm > 0.0 ? torque_Nm - std::max(0.0, level + bias_Nm)
+                                             : -torque_Nm - std::max(0.0, level - bias_Nm);
+      next = push_Nm > 0.0 ? std::copysign(push_Nm, torque_Nm) * left * h / inertia : 0.0;
+    }
+  }
+  state_.position_rad += 0.5 * h * next;
+  state_.velocity_rad_s = next;
+
+  if (state_.position_rad < -configuration_.open_stop_rad ||
+      state_.position_rad > configuration_.closed_stop_rad) {
+    state_.position_rad =
+        std::clamp(state_.position_rad, -configuration_.open_stop_rad, configuration_.closed_stop_rad);
+    state_.velocity_rad_s = 0.0;
+  }
+
+  const double travel_rad = state_.position_rad - before_rad;
+  state_.hysteresis =
+      std::copysign(1.0, travel_rad) + (state_.hysteresis - std::copysign(1.0, travel_rad)) *
+                                           std::exp(-std::abs(travel_rad) / kHysteresisTravel_rad);
+  if (effects.backlash_rad > 0.0)
+    state_.pad_position_rad =
+        std::clamp(state_.pad_position_rad, state_.position_rad, state_.position_rad + effects.backlash_rad);
+  else
+    state_.pad_position_rad = state_.position_rad;
+  if (effects.pad_relaxation > 0.0) {
+    const double x = std::max(0.0, state_.pad_position_rad);
+    const double elastic_N = (theta[k1] * x + theta[k2]) * x * x;
+    state_.relaxed_N += (elastic_N - state_.relaxed_N) * -std::expm1(-h / kRelaxationTime_s);
+  }
+  state_.force_N = pad_force(state_.velocity_rad_s);
+  if (effects.force_lag_s > 0.0)
+    state_.filtered_force_N +=
+        (state_.force_N - state_.filtered_force_N) * -std::expm1(-h / effects.force_lag_s);
+  if (effects.velocity_lag_s > 0.0)
+    state_.filtered_velocity_rad_s +=
+        (state_.velocity_rad_s - state_.filtered_velocity_rad_s) * -std::expm1(-h / effects.velocity_lag_s);
+}
+
+double SimulatedBrake::pad_force(double velocity_rad_s) const noexcept {
+  const Effects& effects = configuration_.effects;
+  const ParameterVector& theta = configuration_.brake.theta;
+  const double x = state_.pad_position_rad;
+  if (x <= 0.0) return 0.0;
+  double force_N = ((effects.stiffness_shape_N_rad4 * x + theta[k1]) * x + theta[k2]) * x * x;
+  force_N *= 1.0 - 0.5 * effects.stiffness_hysteresis * (1.0 - state_.hysteresis);
+  force_N -= effects.pad_relaxation * state_.relaxed_N;
+  if (effects.pad_damping_N_s_rad > 0.0)
+    force_N = std::max(0.0, force_N + effects.pad_damping_N_s_rad * velocity_rad_s);
+  return force_N;
+}
+
+double SimulatedBrake::friction_level(double speed_rad_s, double force_N) const noexcept {
+  const ParameterVector& theta = configuration_.brake.theta;
+  const Effects& effects = configuration_.effects;
+  const double drift = 1.0 + effects.friction_drift * static_cast<double>(run_);
+  const double coulomb_Nm = theta[TC] * drift + effects.coulomb_load_Nm_N * force_N;
+  const double static_Nm = theta[Ts0] + theta[mus] * force_N;
+  const double ratio = speed_rad_s / theta[ws];
+  return std::max(0.0, coulomb_Nm + (static_Nm - coulomb_Nm) / (1.0 + ratio * ratio));
+}
+
+double SimulatedBrake::gaussian(double sd) noexcept {
+  return sd * normal_(random_);
+}
+
+}  // namespace clampd::sim

@@ -1,0 +1,89 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <random>
+
+#include "clampd/record/brake_port.hpp"
+#include "drivers/sim/plant_configuration.hpp"
+
+namespace clampd::sim {
+
+/// What really is, at the instant of the last sample.
+struct Truth {
+  double time_s = 0.0;
+  double position_rad = 0.0;  ///< from the contact point
+  double velocity_rad_s = 0.0;
+  double force_N = 0.0;
+  double torque_Nm = 0.0;  ///< acting from this instant until the next sample
+  bool drive_enabled = false;
+  bool watchdog_tripped = false;
+};
+
+/// A brake that stands in for the real one: equations (1) to (6) with the sign of Tf restored and tanh(eps v)
+/// replaced by its limit, a set-valued sign, so that the clamped brake really sticks.
+///
+/// It is meant to disagree with the estimator's model in its numerics: Moreau's time stepping (position at
+/// the midpoint, friction implicit at velocity level as a projection) in steps of at most 20 us, against a
+/// Runge-Kutta scheme with event location there. With effects it disagrees in its physics, too.
+///
+/// It samples on its own 1 kHz clock. At an instant k it latches the newest command, takes its readings, and
+/// holds that torque until k + 1. Pure: no I/O, no clock; one call of sample() is one millisecond. Neither
+/// command() nor sample() allocates.
+class SimulatedBrake {
+ public:
+  /// `configuration` must be valid.
+  explicit SimulatedBrake(const PlantConfiguration& configuration);
+
+  /// A valid command arrived; it acts from the next sample on if no newer one comes.
+  void command(const TorqueCommand& command) noexcept;
+
+  /// Takes the sample that is due now and advances the brake by one millisecond.
+  BrakeFeedback sample() noexcept;
+
+  const Truth& truth() const noexcept { return truth_; }
+  const PlantConfiguration& configuration() const noexcept { return configuration_; }
+
+  /// Tells which run comes next (0, 1, ...), for what changes from run to run (friction-drift).
+  void begin_run(std::uint32_t run) noexcept { run_ = run; }
+
+ private:
+  struct State {
+    double position_rad = 0.0;
+    double velocity_rad_s = 0.0;
+    double force_N = 0.0;           ///< the pads' force, all effects in
+    double pad_position_rad = 0.0;  ///< behind the backlash
+    double bristle_rad = 0.0;       ///< presliding
+    double hysteresis = -1.0;       ///< 1 applying, -1 releasing
+    double relaxed_N = 0.0;
+    double torque_Nm = 0.0;  ///< behind the torque lag
+    double filtered_force_N = 0.0;
+    double filtered_velocity_rad_s = 0.0;
+  };
+
+  void latch_command() noexcept;
+  BrakeFeedback read() noexcept;
+  void advance() noexcept;
+  void step(double h) noexcept;
+  double pad_force(double velocity_rad_s) const noexcept;
+  double friction_level(double speed_rad_s, double force_N) const noexcept;
+  double gaussian(double sd) noexcept;
+
+  PlantConfiguration configuration_;
+  std::mt19937_64 random_;
+  std::normal_distribution<double> normal_{0.0, 1.0};
+  State state_;
+  Truth truth_;
+  TorqueCommand newest_;
+  bool fresh_ = false;  ///< a command came since the last sample
+  std::int64_t silent_samples_ = 0;
+  bool enabled_ = false;
+  bool tripped_ = false;
+  double torque_Nm_ = 0.0;  ///< latched
+  std::int64_t index_ = 0;
+  std::uint32_t run_ = 0;
+  static constexpr std::size_t kHistory = static_cast<std::size_t>(kMaximumSkew_samples) + 2;
+  std::array<double, kHistory> force_history_N_{};  ///< readings by index, for channel-skew
+};
+
+}  // namespace clampd::sim
