@@ -34,7 +34,8 @@ struct StribeckFriction {
   double static_Nm;
   double viscous_Nm_s_rad;
   double load_Nm_N;
-  double inverse_speed_s_rad;  ///< 1 / ws
+  double inverse_speed_s_rad;
+  double squared_speed_rad2_s2;
 
   /// parameters: TC, Ts0, Tv, mus, ws.
   explicit StribeckFriction(const double* parameters)
@@ -42,32 +43,32 @@ struct StribeckFriction {
         static_Nm(parameters[1]),
         viscous_Nm_s_rad(parameters[2]),
         load_Nm_N(parameters[3]),
-        inverse_speed_s_rad(1.0 / parameters[4]) {}
+        inverse_speed_s_rad(1.0 / parameters[4]),
+        squared_speed_rad2_s2(parameters[4] * parameters[4]) {}
 
   /// Ts of (5).
   double holding_Nm(double force_N) const noexcept { return static_Nm + load_Nm_N * force_N; }
 
   double sliding_Nm(double force_N, double velocity_rad_s, double sign) const noexcept {
-    const double ratio = velocity_rad_s * inverse_speed_s_rad;
-    const double share = 1.0 / (1.0 + ratio * ratio);
-    return viscous_Nm_s_rad * velocity_rad_s +
-           sign * (coulomb_Nm + (holding_Nm(force_N) - coulomb_Nm) * share);
+    // One division with everything but v in its numerator: this is the longest chain of the innermost loop.
+    const double excess = sign * squared_speed_rad2_s2 * (holding_Nm(force_N) - coulomb_Nm);
+    return excess / (squared_speed_rad2_s2 + velocity_rad_s * velocity_rad_s) +
+           (viscous_Nm_s_rad * velocity_rad_s + sign * coulomb_Nm);
   }
 
   FrictionPoint evaluate(double force_N, double velocity_rad_s, double sign,
                          double* gradient) const noexcept {
-    const double ratio = velocity_rad_s * inverse_speed_s_rad;
-    const double share = 1.0 / (1.0 + ratio * ratio);
-    const double excess = holding_Nm(force_N) - coulomb_Nm;
-    // d share / d v = -2 v / ws^2 share^2;  d share / d ws = -(v / ws) d share / d v
-    const double share_slope = -2.0 * ratio * inverse_speed_s_rad * share * share;
-    gradient[0] = sign * (1.0 - share);
-    gradient[1] = sign * share;
+    const double excess = sign * squared_speed_rad2_s2 * (holding_Nm(force_N) - coulomb_Nm);
+    const double inverse = 1.0 / (squared_speed_rad2_s2 + velocity_rad_s * velocity_rad_s);
+    const double share = sign * squared_speed_rad2_s2 * inverse;
+    const double slope = -2.0 * velocity_rad_s * excess * inverse * inverse;
+    gradient[0] = sign - share;
+    gradient[1] = share;
     gradient[2] = velocity_rad_s;
-    gradient[3] = sign * share * force_N;
-    gradient[4] = -sign * excess * share_slope * ratio;
-    return {viscous_Nm_s_rad * velocity_rad_s + sign * (coulomb_Nm + excess * share),
-            sign * load_Nm_N * share, viscous_Nm_s_rad + sign * excess * share_slope};
+    gradient[3] = share * force_N;
+    gradient[4] = -slope * velocity_rad_s * inverse_speed_s_rad;
+    return {excess * inverse + (viscous_Nm_s_rad * velocity_rad_s + sign * coulomb_Nm), load_Nm_N * share,
+            viscous_Nm_s_rad + slope};
   }
 };
 static_assert(FrictionLaw<StribeckFriction>);

@@ -1,0 +1,88 @@
+#include "clampd/identify/information.hpp"
+
+#include <cmath>
+#include <limits>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+
+namespace clampd {
+
+namespace {
+
+constexpr int kTheta = static_cast<int>(kParameterCount);
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+/// Smallest eigenvalue of the unit-diagonal information at which its inverse still has correct digits:
+/// sensitivities carry about ten.
+constexpr double kSingular = 1e-10;
+
+struct ScaledSpectrum {
+  ParameterVector
+      scale;  ///< square roots of the diagonal; the spectrum is that of the matrix divided by them
+  Eigen::SelfAdjointEigenSolver<ParameterMatrix> solver;
+  bool singular = true;
+};
+
+ScaledSpectrum spectrum_of(const ParameterMatrix& information) {
+  ScaledSpectrum spectrum;
+  spectrum.scale = information.diagonal().cwiseMax(0.0).cwiseSqrt();
+  if (!information.allFinite() || !(spectrum.scale.minCoeff() > 0.0)) return spectrum;
+  const ParameterVector inverse = spectrum.scale.cwiseInverse();
+  spectrum.solver.compute(inverse.asDiagonal() * information * inverse.asDiagonal());
+  spectrum.singular =
+      spectrum.solver.info() != Eigen::Success || !(spectrum.solver.eigenvalues()[0] > kSingular);
+  return spectrum;
+}
+
+}  // namespace
+
+JointInformation joint_information(const SensitivitySimulation& simulation,
+                                   const SensorNoise& noise) noexcept {
+  const auto& force = simulation.force_sensitivity;
+  const auto& velocity = simulation.velocity_sensitivity;
+  JointInformation information = force.transpose().lazyProduct(force) / (noise.force_N * noise.force_N);
+  information += velocity.transpose().lazyProduct(velocity) / (noise.velocity_rad_s * noise.velocity_rad_s);
+  return information;
+}
+
+JointInformation joint_information(const BrakeParameters& parameters, const BrakeState& initial,
+                                   const Excitation& excitation, const SensorNoise& noise,
+                                   SensitivitySimulation& buffer) noexcept {
+  simulate(parameters, initial, excitation, buffer);
+  return joint_information(buffer, noise);
+}
+
+ParameterMatrix initial_state_unknown(const JointInformation& joint) {
+  Eigen::Matrix2d initial = joint.bottomRightCorner<2, 2>();
+  initial(0, 0) += 1.0 / (kInitialPositionPrior_rad * kInitialPositionPrior_rad);
+  initial(1, 1) += 1.0 / (kInitialVelocityPrior_rad_s * kInitialVelocityPrior_rad_s);
+  const Eigen::Matrix<double, 2, kTheta> cross = joint.bottomLeftCorner<2, kTheta>();
+  return joint.topLeftCorner<kTheta, kTheta>() - cross.transpose() * initial.ldlt().solve(cross);
+}
+
+double log_det(const ParameterMatrix& information) {
+  const Eigen::LLT<ParameterMatrix> factor(information);
+  if (!information.allFinite() || factor.info() != Eigen::Success)
+    return -std::numeric_limits<double>::infinity();
+  return 2.0 * factor.matrixLLT().diagonal().array().log().sum();
+}
+
+ParameterMatrix cramer_rao(const ParameterMatrix& information) {
+  const ScaledSpectrum spectrum = spectrum_of(information);
+  if (spectrum.singular) return ParameterMatrix::Constant(kNaN);
+  const ParameterVector inverse = spectrum.scale.cwiseInverse();
+  const ParameterMatrix directions = inverse.asDiagonal() * spectrum.solver.eigenvectors();
+  return directions * spectrum.solver.eigenvalues().cwiseInverse().asDiagonal() * directions.transpose();
+}
+
+std::optional<Parameter> unidentifiable_parameter(const ParameterMatrix& information) {
+  const ScaledSpectrum spectrum = spectrum_of(information);
+  if (!spectrum.singular) return std::nullopt;
+  Eigen::Index least = 0;
+  if (spectrum.scale.minCoeff(&least) > 0.0 && information.allFinite())
+    spectrum.solver.eigenvectors().col(0).cwiseAbs().maxCoeff(&least);
+  return static_cast<Parameter>(least);
+}
+
+}  // namespace clampd
