@@ -1,0 +1,39 @@
+#include "drivers/can/can_brake.hpp"
+
+namespace clampd::can {
+
+std::size_t CanBrake::receive(std::span<BrakeFeedback> out, std::int64_t now_ns) noexcept {
+  // One frame at a time: what does not fit into `out` waits in the bus rather than here.
+  std::size_t filled = 0;
+  TimedFrame received;
+  while (filled < out.size() && bus_.receive(std::span{&received, 1}, now_ns) == 1) {
+    if (const auto feedback = protocol_.accept(received.frame, received.arrival_ns))
+      out[filled++] = *feedback;
+  }
+  return filled;
+}
+
+bool CanBrake::send(const TorqueCommand& command, std::int64_t now_ns) noexcept {
+  return bus_.send(protocol_.command(command), now_ns);
+}
+
+PortHealth CanBrake::health() const noexcept {
+  const BusHealth bus = bus_.health();
+  const ProtocolCounts& counts = protocol_.counts();
+  PortHealth health;
+  health.link = bus.link;
+  health.frames_received = bus.frames_received;
+  health.frames_sent = bus.frames_sent;
+  health.send_failures = bus.send_failures;
+  health.crc_errors = counts.crc_errors;
+  health.counter_errors = counts.counter_errors;
+  health.lost_samples = counts.lost_samples;
+  health.implausible = counts.implausible;
+  health.error_frames = bus.error_frames;
+  health.bus_off_events = bus.bus_off_events;
+  health.receive_overflows = bus.receive_overflows;
+  health.bus_bits = bus.bus_bits;
+  return health;
+}
+
+}  // namespace clampd::can

@@ -1,0 +1,180 @@
+#include "drivers/can/protocol.hpp"
+
+#include <cmath>
+#include <cstdlib>
+#include <utility>
+
+#include "clampd/base/assert.hpp"
+#include "clampd/base/clock.hpp"
+
+namespace clampd::can {
+namespace {
+
+constexpr std::uint8_t kCounterMask = 0xF;
+
+}  // namespace
+
+AliveVerdict AliveCheck::judge(std::uint8_t counter, std::int64_t arrival_ns) noexcept {
+  const unsigned ahead = (counter - last_) & kCounterMask;
+  const bool silent = arrival_ns - last_arrival_ns_ > kSilence_ns;
+  const bool first = !started_ || silent;
+  // Also a refused frame moves the reference: a brake that restarted is followed again from its second frame
+  // on, and a frozen one, whose frames keep coming, never turns into a silence.
+  started_ = true;
+  last_ = counter;
+  last_arrival_ns_ = arrival_ns;
+  if (first || ahead == 1) return AliveVerdict::Next;
+  if (ahead == 0) return AliveVerdict::Repeated;
+  return ahead <= 8 ? AliveVerdict::Skipped : AliveVerdict::Backward;
+}
+
+Frame StationProtocol::command(const TorqueCommand& command) noexcept {
+  const bool valid = std::isfinite(command.torque_Nm);
+  Frame frame = codec_.command.blank();
+  codec_.torque_command.encode(frame, valid && command.enable ? command.torque_Nm : 0.0);
+  codec_.enable.set_raw(frame, valid && command.enable ? 1 : 0);
+  codec_.command.protect(frame, command_counter_);
+  command_counter_ = (command_counter_ + 1) & kCounterMask;
+  return frame;
+}
+
+bool StationProtocol::plausible(std::size_t index, const Frame& frame) const noexcept {
+  const auto good = [&](const FeedbackField& part) {
+    return !part.present || part.frame != index || part.field.plausible(part.field.decode(frame));
+  };
+  return good(codec_.force) && good(codec_.velocity) && good(codec_.torque) && good(codec_.position) &&
+         good(codec_.enabled) && good(codec_.watchdog) && good(codec_.fault);
+}
+
+std::optional<BrakeFeedback> StationProtocol::accept(const Frame& frame, std::int64_t arrival_ns) noexcept {
+  std::size_t index = 0;
+  while (index < codec_.feedback_frames && codec_.feedback[index].id != frame.id) ++index;
+  if (index == codec_.feedback_frames) return std::nullopt;
+  const FrameLayout& layout = codec_.feedback[index];
+  if (!layout.crc_matches(frame)) {
+    ++counts_.crc_errors;
+    return std::nullopt;
+  }
+  const std::uint8_t counter = layout.counter_of(frame);
+  const AliveVerdict verdict = alive_[index].judge(counter, arrival_ns);
+  if (verdict == AliveVerdict::Repeated || verdict == AliveVerdict::Backward) {
+    ++counts_.counter_errors;
+    return std::nullopt;
+  }
+  if (!plausible(index, frame)) {
+    ++counts_.implausible;
+    return std::nullopt;
+  }
+  if (received_parts_ == 0 || parts_counter_ != counter) {
+    received_parts_ = 0;
+    parts_counter_ = counter;
+  }
+  parts_[index] = frame;
+  received_parts_ |= 1U << index;
+  if (received_parts_ != (1U << codec_.feedback_frames) - 1) return std::nullopt;
+  received_parts_ = 0;
+  return complete(arrival_ns);
+}
+
+std::optional<BrakeFeedback> StationProtocol::complete(std::int64_t arrival_ns) noexcept {
+  const auto value = [&](const FeedbackField& part) {
+    return part.present ? part.field.decode(parts_[part.frame]) : 0.0;
+  };
+  const FeedbackField& clock_field = codec_.sample_clock;
+  const std::uint64_t clock = clock_field.field.raw(parts_[clock_field.frame]);
+  const std::uint64_t previous_clock = std::exchange(last_clock_, clock);
+  const std::uint8_t previous_counter = std::exchange(last_counter_, parts_counter_);
+  if (!synchronised_) {
+    synchronised_ = true;
+    brake_time_ns_ = static_cast<std::int64_t>(clock) * codec_.clock_tick_ns;
+  } else {
+    const auto elapsed_ticks =
+        static_cast<std::int64_t>((clock - previous_clock) & clock_field.field.largest_raw());
+    const std::int64_t elapsed_ns = elapsed_ticks * codec_.clock_tick_ns;
+    const std::int64_t samples = (elapsed_ns + kPeriod_ns / 2) / kPeriod_ns;
+    const std::int64_t counted = (parts_counter_ - previous_counter) & kCounterMask;
+    // Clock and counter must tell the same story: the clock resolves whole turns of the counter, the counter
+    // catches a clock that stands still or jumps.
+    const bool consistent = samples >= 1 && (samples & kCounterMask) == counted &&
+                            std::abs(elapsed_ns - samples * kPeriod_ns) <= kPeriod_ns / 5;
+    if (!consistent) {
+      // Index and time stay monotonic by what the counter says; the sample itself is refused.
+      ++counts_.counter_errors;
+      const std::int64_t advance = counted == 0 ? 16 : counted;
+      sample_index_ += advance;
+      brake_time_ns_ += advance * kPeriod_ns;
+      counts_.lost_samples += static_cast<std::uint64_t>(advance);
+      return std::nullopt;
+    }
+    sample_index_ += samples;
+    brake_time_ns_ += elapsed_ns;
+    counts_.lost_samples += static_cast<std::uint64_t>(samples - 1);
+  }
+
+  BrakeFeedback feedback;
+  feedback.sample_index = sample_index_;
+  feedback.brake_time_ns = brake_time_ns_;
+  feedback.arrival_time_ns = arrival_ns;
+  feedback.torque_Nm = value(codec_.torque);
+  feedback.velocity_rad_s = value(codec_.velocity);
+  feedback.force_N = value(codec_.force);
+  feedback.position_rad = value(codec_.position);
+  feedback.drive_enabled = !codec_.enabled.present || value(codec_.enabled) != 0.0;
+  feedback.watchdog_tripped = value(codec_.watchdog) != 0.0;
+  feedback.brake_fault = value(codec_.fault) != 0.0;
+  return feedback;
+}
+
+std::optional<TorqueCommand> BrakeProtocol::accept(const Frame& frame, std::int64_t arrival_ns) noexcept {
+  if (frame.id != codec_.command.id) return std::nullopt;
+  if (!codec_.command.crc_matches(frame)) {
+    ++counts_.crc_errors;
+    return std::nullopt;
+  }
+  const AliveVerdict verdict = alive_.judge(codec_.command.counter_of(frame), arrival_ns);
+  if (verdict == AliveVerdict::Repeated || verdict == AliveVerdict::Backward) {
+    ++counts_.counter_errors;
+    return std::nullopt;
+  }
+  TorqueCommand command;
+  command.torque_Nm = codec_.torque_command.decode(frame);
+  command.enable = codec_.enable.raw(frame) != 0;
+  if (!codec_.torque_command.plausible(command.torque_Nm)) {
+    ++counts_.implausible;
+    return std::nullopt;
+  }
+  return command;
+}
+
+std::size_t BrakeProtocol::feedback(const BrakeFeedback& reading, std::span<Frame> out,
+                                    WireFault fault) noexcept {
+  CLAMPD_ASSERT(out.size() >= codec_.feedback_frames);
+  if (fault != WireFault::FrozenCounter) feedback_counter_ = (feedback_counter_ + 1) & kCounterMask;
+  if (fault == WireFault::Silent) return 0;
+  for (std::size_t i = 0; i < codec_.feedback_frames; ++i) out[i] = codec_.feedback[i].blank();
+  const auto put = [&](const FeedbackField& part, double value) {
+    if (part.present) part.field.encode(out[part.frame], value);
+  };
+  put(codec_.force, reading.force_N);
+  put(codec_.velocity, reading.velocity_rad_s);
+  put(codec_.torque, reading.torque_Nm);
+  put(codec_.position, reading.position_rad);
+  put(codec_.enabled, reading.drive_enabled ? 1.0 : 0.0);
+  put(codec_.watchdog, reading.watchdog_tripped ? 1.0 : 0.0);
+  put(codec_.fault, reading.brake_fault ? 1.0 : 0.0);
+  const FeedbackField& clock = codec_.sample_clock;
+  clock.field.set_raw(out[clock.frame],
+                      static_cast<std::uint64_t>(reading.brake_time_ns / codec_.clock_tick_ns));
+  if (fault == WireFault::ImpossibleValues) {
+    // Every bit of the reading set: far beyond the range, under a valid CRC.
+    codec_.force.field.set_raw(out[codec_.force.frame], codec_.force.field.largest_raw());
+    codec_.velocity.field.set_raw(out[codec_.velocity.frame], codec_.velocity.field.largest_raw() / 2);
+  }
+  for (std::size_t i = 0; i < codec_.feedback_frames; ++i) {
+    codec_.feedback[i].protect(out[i], feedback_counter_);
+    if (fault == WireFault::CorruptCrc) out[i].data[codec_.feedback[i].crc_byte] ^= 0xFFU;
+  }
+  return codec_.feedback_frames;
+}
+
+}  // namespace clampd::can

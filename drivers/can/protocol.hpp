@@ -1,0 +1,110 @@
+#pragma once
+
+// The end-to-end protection of commands and feedback, for both ends. Pure: frames and time come in as
+// arguments, so that the very code of the bench runs in the tests.
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "clampd/base/realtime.hpp"
+#include "clampd/record/brake_port.hpp"
+#include "drivers/can/codec.hpp"
+#include "drivers/can/frame.hpp"
+
+namespace clampd::can {
+
+/// What became of an alive counter.
+enum class AliveVerdict : std::uint8_t {
+  Next,      ///< the expected one, or the first after a silence
+  Skipped,   ///< some frames were lost; this one is newer and good
+  Repeated,  ///< the same again: a frozen or replayed frame
+  Backward,  ///< more than half of the counter's turn ahead: an old frame
+};
+
+/// Judges the 4-bit alive counter of one frame identifier. Only frames with a correct CRC may come here.
+class AliveCheck {
+ public:
+  /// Longer silence than this makes the counter ambiguous: any value is then accepted as a new start.
+  static constexpr std::int64_t kSilence_ns = 8'000'000;
+
+  CLAMPD_REALTIME AliveVerdict judge(std::uint8_t counter, std::int64_t arrival_ns) noexcept;
+
+ private:
+  bool started_ = false;
+  std::uint8_t last_ = 0;
+  std::int64_t last_arrival_ns_ = 0;
+};
+
+struct ProtocolCounts {
+  std::uint64_t crc_errors = 0;      ///< frames refused: wrong CRC or size
+  std::uint64_t counter_errors = 0;  ///< frames or samples refused: counter or sample clock repeats or jumps
+  std::uint64_t lost_samples =
+      0;  ///< samples the brake took and the station never completed (station's end only)
+  std::uint64_t implausible = 0;  ///< frames refused: a value outside of its DBC range
+};
+
+/// The station's end: commands out, samples in.
+class StationProtocol {
+ public:
+  explicit StationProtocol(const ProtocolCodec& codec) : codec_{codec} {}
+
+  /// The next command frame. A torque that is not finite goes out as a disabled zero torque.
+  CLAMPD_REALTIME Frame command(const TorqueCommand& command) noexcept;
+
+  /// Takes one received frame. When it completes a sample (all feedback frames with one counter value), that
+  /// sample: `sample_index` counts from 0 and follows counter and sample clock, `brake_time_ns` is the
+  /// unwrapped sample clock, `arrival_time_ns` that of the completing frame. Frames of other identifiers are
+  /// ignored.
+  CLAMPD_REALTIME std::optional<BrakeFeedback> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
+
+  CLAMPD_REALTIME const ProtocolCounts& counts() const noexcept { return counts_; }
+
+ private:
+  bool plausible(std::size_t index, const Frame& frame) const noexcept;
+  std::optional<BrakeFeedback> complete(std::int64_t arrival_ns) noexcept;
+
+  ProtocolCodec codec_;
+  ProtocolCounts counts_;
+  std::uint8_t command_counter_ = 0;
+  std::array<AliveCheck, kMaximumFeedbackFrames> alive_;
+
+  std::array<Frame, kMaximumFeedbackFrames> parts_;
+  unsigned received_parts_ = 0;  ///< bit i: parts_[i] belongs to the sample of parts_counter_
+  std::uint8_t parts_counter_ = 0;
+
+  bool synchronised_ = false;
+  std::uint64_t last_clock_ = 0;
+  std::uint8_t last_counter_ = 0;
+  std::int64_t sample_index_ = 0;
+  std::int64_t brake_time_ns_ = 0;
+};
+
+/// What a simulated brake may do wrong on the wire, on purpose.
+enum class WireFault : std::uint8_t { None, CorruptCrc, FrozenCounter, ImpossibleValues, Silent };
+
+/// The brake's end: commands in, samples out.
+class BrakeProtocol {
+ public:
+  explicit BrakeProtocol(const ProtocolCodec& codec) : codec_{codec} {}
+
+  /// Takes one received frame; the command in it, if it is one and passes CRC, counter and range.
+  CLAMPD_REALTIME std::optional<TorqueCommand> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
+
+  /// Encodes one sample into `out` (room for kMaximumFeedbackFrames) and returns the number of frames. Of
+  /// `reading`, the index and arrival time are not sent.
+  CLAMPD_REALTIME std::size_t feedback(const BrakeFeedback& reading, std::span<Frame> out,
+                                       WireFault fault = WireFault::None) noexcept;
+
+  CLAMPD_REALTIME const ProtocolCounts& counts() const noexcept { return counts_; }
+
+ private:
+  ProtocolCodec codec_;
+  ProtocolCounts counts_;
+  AliveCheck alive_;
+  std::uint8_t feedback_counter_ = 0;
+};
+
+}  // namespace clampd::can
