@@ -1,5 +1,8 @@
 # Shared by the scenarios; sourced by busybox sh in the guest.
 
+# This shell prefers its own commands to those in /bin, and its own ip knows no CAN.
+ip() { /bin/ip "$@"; }
+
 fail() {
   echo "FAILED: $*"
   exit 1

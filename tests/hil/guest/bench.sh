@@ -1,0 +1,135 @@
+# A station and a brake in one guest: sourced after common.sh. The caller sets up a bus first, which sets
+# station_interface and brake_interface.
+#
+# The station runs at its shipped priority. The brake stands for another machine, so it must not take the processor from
+# the station: it runs below it, and above everything ordinary.
+
+station_priority=80
+brake_priority=60
+
+use_vcan() {
+  expect "vcan0 exists" ip link add dev vcan0 type vcan
+  expect "vcan0 is up" bring_up vcan0
+  station_interface=vcan0
+  brake_interface=vcan0
+}
+
+# Two controllers of the kernel's kvaser_pci driver on one emulated bus.
+use_kvaser() {
+  for interface in can0 can1; do
+    expect "$interface is up at 1 Mbit/s" bring_up $interface
+  done
+  station_interface=can0
+  brake_interface=can1
+}
+
+bring_up() {
+  case $1 in
+    can*) ip link set "$1" type can bitrate 1000000 && ip link set "$1" up ;;
+    *) ip link set "$1" up ;;
+  esac
+}
+
+# start_brake TRACE [FAULT-KIND AT_S DURATION_S]
+start_brake() {
+  trace=$1
+  cp plant.toml /tmp/plant.toml
+  if [ $# -gt 1 ]; then
+    printf '\n[[fault]]\nkind = "%s"\nat_s = %s\nduration_s = %s\n' "$2" "$3" "$4" >>/tmp/plant.toml
+  fi
+  rm -f "$trace"
+  clampd-plant --interface $brake_interface --config /tmp/plant.toml --dbc brake.dbc --realtime $brake_priority \
+    --trace "$trace" >>/tmp/plant.log 2>&1 &
+  brake_pid=$!
+  wait_until 5 "the brake runs" trace_has_rows
+}
+
+trace_has_rows() { [ -s "$trace" ] && [ "$(wc -l <"$trace")" -gt 2 ]; }
+
+stop_brake() {
+  kill "$brake_pid"
+  wait "$brake_pid" || fail "the brake ended with exit code $?: $(tail -n 3 /tmp/plant.log)"
+}
+
+start_station() {
+  cat >/tmp/station.toml <<TOML
+name = "virtual-bench"
+[can]
+interface = "$station_interface"
+dbc = "/bench/brake.dbc"
+[realtime]
+priority = $station_priority
+[archive]
+database = "/tmp/checks.sqlite"
+[control]
+token_file = "/tmp/token"
+TOML
+  clampd --config /tmp/station.toml >>/tmp/station.log 2>&1 &
+  station_pid=$!
+}
+
+wait_for_idle() { wait_until 10 "the station is IDLE" station_is IDLE; }
+
+station_is() { [ "$(status state)" = "$1" ]; }
+
+# status FIELD: of the station, empty if it does not answer.
+status() {
+  clampctl --config /tmp/station.toml status --json /tmp/status.json >/dev/null 2>/tmp/status.err &&
+    json_get /tmp/status.json "/$1"
+}
+
+# check NAME REPEATS: runs one in the foreground; leaves /tmp/NAME.json and $code.
+check() {
+  code=0
+  clampctl --config /tmp/station.toml run --serial HIL-1 --repeats "$2" --json "/tmp/$1.json" >"/tmp/$1.out" 2>&1 ||
+    code=$?
+}
+
+expect_pass() {
+  [ "$code" = 0 ] && [ "$(json_get "/tmp/$1.json" /verdict)" = PASS ] && return
+  cat "/tmp/$1.out" /tmp/station.log
+  fail "$1: exit code $code, $(json_get "/tmp/$1.json" /verdict): $(json_get "/tmp/$1.json" /reason)"
+}
+
+# truth PARAMETER: the brake's own.
+truth() { awk -v name="$1" '$1 == name { print $3 }' plant.toml; }
+
+# expect_close_to_truth CHECK: every estimate within three of its reported standard deviations.
+expect_close_to_truth() {
+  index=0
+  while [ $index -lt 7 ]; do
+    name=$(json_get "/tmp/$1.json" /parameters/$index/name)
+    value=$(json_get "/tmp/$1.json" /parameters/$index/value)
+    sd=$(json_get "/tmp/$1.json" /parameters/$index/sd)
+    distance=$(awk -v value="$value" -v sd="$sd" -v truth="$(truth "$name")" \
+      'BEGIN { d = (value - truth) / sd; print sd > 0 ? (d < 0 ? -d : d) : "" }')
+    at_most "$name = $value, truth $(truth "$name"), distance in sd ($sd)" "$distance" 3
+    index=$((index + 1))
+  done
+}
+
+# The whole check of 20 repeats: what issue "One command checks a brake" promises.
+full_check() {
+  start_brake /tmp/trace.csv
+  # The reference: the same priority, interval and kernel, with the brake running and the station not yet. So it meets
+  # all that disturbs the station's thread but the station itself; side by side they would delay each other.
+  reference_us=$(cyclictest_max $station_priority 10)
+  echo "cyclictest: $(tail -n 1 /tmp/cyclictest.log)"
+  start_station
+  wait_for_idle
+  begin_s=$(cut -d' ' -f1 /proc/uptime)
+  check full 20
+  echo "the command took $(awk -v begin="$begin_s" '{ print $1 - begin }' /proc/uptime) s of virtual time"
+  cat /tmp/full.out
+  expect_pass full
+  echo "ok: verdict PASS, exit code 0"
+  timing=$(json_get /tmp/full.json /timing)
+  echo "timing: $timing"
+  expect "no period skipped" [ "$(json_get /tmp/full.json /timing/skipped)" = 0 ]
+  expect "no sample lost" [ "$(json_get /tmp/full.json /timing/lost_samples)" = 0 ]
+  at_most "wake-up lateness in us, against 1.5 times cyclictest's $reference_us" \
+    "$(json_get /tmp/full.json /timing/lateness_us/max)" "$(awk "BEGIN { print 1.5 * $reference_us }")"
+  at_most "bench time in s" "$(json_get /tmp/full.json /duration_s)" 30
+  expect_close_to_truth full
+  echo "tracking: $(json_get /tmp/full.json /tracking_rms_N) N rms"
+}

@@ -1,0 +1,169 @@
+# Faults in the middle of a check: sourced after bench.sh.
+#
+# Two witnesses, neither of them the station: the brake's trace of the torque that really acted, and the command frames
+# as candump saw them (all that is left of a brake that was killed). Both must have been driving when the cause came.
+
+readonly zero_torque_ms=5
+readonly silent_station_ms=21 # the brake's watchdog of 20 ms, and the sample in which it acts
+
+# fault NAME CAUSE REMOVAL [BRAKE-LIMIT-MS]: CAUSE and REMOVAL are commands; CAUSE prints the clocks as cause.cpp does.
+# brake_resumes=1 for a brake that was stopped: its own time stands still until the removal.
+fault() {
+  begin_fault "$1"
+  wait_until 20 "the brake is clamped" clamped
+  clocks=$(eval "$2") || fail "$1: cannot cause it"
+  expect_error "$clocks"
+  eval "$3" >/tmp/removal || fail "$1: cannot remove the cause"
+  if [ "${brake_resumes:-0}" = 1 ]; then clocks=$(cat /tmp/removal); fi
+  wait_until 10 "the fault can be cleared" clearable
+  expect_zero_torque "${clocks% *}" "${4:-$zero_torque_ms}"
+  recover
+}
+
+# scripted_fault KIND: the brake misbehaves by itself, at a time when the check is known to clamp.
+scripted_fault() {
+  stop_brake
+  at_s=6.0
+  start_brake /tmp/trace.csv "$1" $at_s 0.3
+  wait_until 10 "the fault can be cleared" clearable
+  clear_fault
+  brake_begin_s=$(awk -F, 'NR == 2 { print $1; exit }' "$trace")
+  wait_until 10 "the time to start the check" later_than "$brake_begin_s" "$at_s" "-$approach_s" -0.02
+  begin_fault "$1"
+  cause_s=$(awk -v begin="$brake_begin_s" -v at="$at_s" 'BEGIN { printf "%.6f", begin + at }')
+  clocks=$(cause kill 0 $$)
+  clocks="$cause_s $(echo "$clocks" | awk -v cause="$cause_s" '{ printf "%.6f", $2 - $1 + cause }')"
+  expect_error "$clocks"
+  wait_until 10 "the fault can be cleared" clearable
+  expect_zero_torque "$cause_s" $zero_torque_ms
+  recover
+}
+
+# The station dies: only the brake's watchdog is left, and a new station takes over.
+station_killed() {
+  begin_fault "station killed"
+  wait_until 20 "the brake is clamped" clamped
+  clocks=$(cause kill 9 $station_pid)
+  wait $station_pid
+  expect_exit_code_3
+  sleep 0.2
+  expect_zero_torque "${clocks% *}" $silent_station_ms
+  stop_recording
+  start_station
+  wait_for_idle
+  check "$id" 2
+  expect_pass "$id"
+  echo "ok: $name: a new station checks the brake"
+}
+
+# Learns how long a check takes from its command to the clamped brake.
+measure_approach() {
+  begin_s=$(cut -d' ' -f1 /proc/uptime)
+  id=healthy
+  check healthy 2
+  expect_pass healthy
+  approach_s=$(awk -F, -v begin="$begin_s" '
+    NR == 1 { for (i = 1; i <= NF; i++) at[$i] = i; next }
+    $at["time_s"] > begin && $at["force_N"] > 12000 { print $at["time_s"] - begin; exit }' "$trace")
+  [ -n "$approach_s" ] || fail "the brake was never clamped"
+  echo "ok: a healthy check passes; clamped $approach_s s after the command"
+}
+
+begin_fault() {
+  name=$1
+  id=$(echo "$name" | tr ' ' '_')
+  echo "--- $name"
+  faulty_trace=$trace
+  candump -D -L "$brake_interface,100:7FF" >/tmp/commands.log 2>/dev/null &
+  candump_pid=$!
+  timeout 60 clampctl --config /tmp/station.toml run --serial HIL-1 --repeats 20 --json "/tmp/$id.json" \
+    >"/tmp/$id.out" 2>&1 &
+  check_pid=$!
+}
+
+stop_recording() {
+  kill $candump_pid 2>/dev/null
+  wait $candump_pid
+}
+
+# expect_error CLOCKS: what clampctl says, and that the station asked for no torque soon after the cause.
+expect_error() {
+  expect_exit_code_3
+  verdict=$(json_get "/tmp/$id.json" /verdict)
+  reason=$(json_get "/tmp/$id.json" /reason)
+  [ "$verdict" = ERROR ] || fail "$name: verdict '$verdict': $reason"
+  echo "ok: $name: verdict ERROR: $reason"
+  stop_recording
+  command_after /tmp/commands.log "${1#* }" >/tmp/command_after
+  read -r after_ms driven_before </tmp/command_after
+  [ "$driven_before" = 1 ] || fail "$name: no torque was asked for when the cause came; this proves nothing"
+  at_most "$name: the station's last command for torque, ms after the cause" "$after_ms" $zero_torque_ms
+}
+
+expect_exit_code_3() {
+  code=0
+  wait $check_pid || code=$?
+  [ $code = 3 ] && return
+  cat "/tmp/$id.out"
+  tail -n 5 /tmp/station.log
+  fail "$name: exit code $code instead of 3"
+}
+
+expect_zero_torque() {
+  torque_after "$faulty_trace" "$1" >/tmp/torque_after
+  read -r after_ms </tmp/torque_after
+  at_most "$name: end of the brake's torque, ms after the cause" "$after_ms" "$2"
+}
+
+recover() {
+  clear_fault
+  check "$id" 2
+  expect_pass "$id"
+  kill -0 $station_pid || fail "$name: the station is gone"
+  echo "ok: $name: after a clear the same station passes the brake"
+}
+
+clearable() { [ "$(status clearable)" = true ]; }
+
+clear_fault() {
+  clampctl --config /tmp/station.toml clear >/tmp/clear.out 2>&1 || fail "clear: $(cat /tmp/clear.out)"
+  wait_for_idle
+}
+
+# later_than SUMMAND...: CLOCK_MONOTONIC has passed their sum.
+later_than() {
+  echo "$@" | awk -v now="$(cut -d' ' -f1 /proc/uptime)" '{ for (i = 1; i <= NF; i++) sum += $i } END { exit !(now > sum) }'
+}
+
+# By the end of its trace the brake is clamped and driven. The columns are found by their names.
+clamped() {
+  tail -n 3 "$trace" | awk -F, -v columns="$(head -n 1 "$trace")" '
+    BEGIN { n = split(columns, name, ","); for (i = 1; i <= n; i++) at[name[i]] = i }
+    NF == n { force = $at["force_N"]; torque = $at["torque_Nm"] }
+    END { exit !(force > 8000 && (torque > 0.2 || torque < -0.2)) }'
+}
+
+# torque_after TRACE CAUSE_S: milliseconds from the cause to the end of the last sample that drove the motor.
+torque_after() {
+  awk -F, -v cause="$2" '
+    NR == 1 { for (i = 1; i <= NF; i++) at[$i] = i; columns = NF; next }
+    NF == columns {
+      if (driven && $at["time_s"] > cause) last = $at["time_s"]
+      driven = $at["torque_Nm"] != 0 && $at["time_s"] > cause - 0.1
+    }
+    END { printf "%.3f\n", last ? (last - cause) * 1000 : 0 }' "$1"
+}
+
+# command_after LOG CAUSE_S: milliseconds from the cause to the last frame that asked for torque, and whether one did in
+# the 10 ms before. In the frame BrakeCommand torque is the first two bytes, Enable the lowest bit of the third.
+command_after() {
+  awk -v cause="$2" '
+    {
+      time = substr($1, 2) + 0
+      data = substr($3, 5)
+      if (substr(data, 1, 4) == "0000" || substr(data, 5, 2) == "00") next
+      if (time > cause) last = time
+      else if (time > cause - 0.010) before = 1
+    }
+    END { printf "%.3f %d\n", last ? (last - cause) * 1000 : 0, before }' "$1"
+}

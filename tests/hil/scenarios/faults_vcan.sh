@@ -1,0 +1,21 @@
+# Faults over a virtual CAN: each ends at zero torque, verdict ERROR and exit code 3, and the station recovers without
+# a restart. Station and brake share vcan0, so taking it down takes it from both.
+. ./common.sh
+. ./bench.sh
+. ./faults.sh
+use_vcan
+start_brake /tmp/trace.csv
+start_station
+wait_for_idle
+measure_approach
+
+fault "plant killed" 'cause kill 9 $brake_pid' 'start_brake /tmp/trace_2.csv'
+brake_resumes=1
+fault "plant stopped" 'cause kill 19 $brake_pid' 'cause kill 18 $brake_pid'
+brake_resumes=0
+fault "interface down" 'cause link vcan0 down' 'bring_up vcan0'
+fault "bus-off frame" 'cause frame vcan0 20000040#0000000000000000' true
+scripted_fault corrupt-crc
+scripted_fault frozen-counter
+scripted_fault impossible-values
+station_killed
