@@ -12,6 +12,7 @@
 
 #include "clampd/base/assert.hpp"
 #include "clampd/record/file.hpp"
+#include "drivers/can/frame.hpp"
 
 namespace clampd::can {
 namespace {
@@ -398,17 +399,15 @@ class Parser {
     Message message;
     message.id = message_id();
     const bool independent = message.id == kIndependentSignals;
-    if (!independent) {
-      const bool extended = (message.id >> 31U) != 0;
-      if ((message.id & 0x7FFF'FFFFU) > (extended ? 0x1FFF'FFFFU : 0x7FFU)) {
-        fail(id_token,
-             fmt::format("message id {} is neither an 11-bit identifier nor a 29-bit one with bit 31 set",
-                         message.id));
-      }
-      if (database_.find_message(message.id) != nullptr) {
-        fail(id_token, fmt::format("message id {} is used twice, first by {}", message.id,
-                                   database_.find_message(message.id)->name));
-      }
+    if (!independent && database_.find_message(message.id) != nullptr) {
+      fail(id_token, fmt::format("message id {} is used twice, first by {}", message.id,
+                                 database_.find_message(message.id)->name));
+    }
+    const bool extended = (message.id & kExtendedId) != 0;
+    if ((message.id & ~kExtendedId) > (extended ? 0x1FFF'FFFFU : 0x7FFU)) {
+      message.defects.push_back(
+          fmt::format("{}: message id {} is neither an 11-bit identifier nor a 29-bit one with bit 31 set",
+                      at(id_token), message.id));
     }
     message.name = word("a message name").text;
     expect(':');

@@ -1,0 +1,243 @@
+#include "drivers/can/protocol.hpp"
+
+#include <gtest/gtest.h>
+
+#include <array>
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include "clampd/base/clock.hpp"
+
+namespace clampd::can {
+namespace {
+
+ProtocolCodec brake_codec() {
+  const auto codec = read_dbc(CLAMPD_SOURCE_DIR "/configs/brake.dbc").and_then([](const Database& database) {
+    return ProtocolCodec::build(database, {});
+  });
+  EXPECT_TRUE(codec) << codec.error().message;
+  return *codec;
+}
+
+/// Both ends and the frames between them, one sample after the other.
+class Protocol : public ::testing::Test {
+ protected:
+  std::vector<Frame> next_sample(WireFault fault = WireFault::None) {
+    now_ns_ += kPeriod_ns;
+    clock_ns_ += kPeriod_ns;
+    BrakeFeedback reading = reading_;
+    reading.brake_time_ns = clock_ns_;
+    std::array<Frame, kMaximumFeedbackFrames> frames;
+    const std::size_t count = brake_.feedback(reading, frames, fault);
+    return {frames.begin(), frames.begin() + static_cast<std::ptrdiff_t>(count)};
+  }
+
+  std::optional<BrakeFeedback> deliver(const std::vector<Frame>& frames) {
+    std::optional<BrakeFeedback> result;
+    for (const Frame& frame : frames) {
+      if (const auto feedback = station_.accept(frame, now_ns_)) {
+        EXPECT_FALSE(result) << "two samples from the frames of one";
+        result = feedback;
+      }
+    }
+    return result;
+  }
+
+  ProtocolCodec codec_ = brake_codec();
+  StationProtocol station_{codec_};
+  BrakeProtocol brake_{codec_};
+  BrakeFeedback reading_{0, 0, 0, 1.2345, -56.78, 23456.0, 12.345, true, false, false};
+  std::int64_t now_ns_ = 5'000'000'000;
+  std::int64_t clock_ns_ = 700'000'000;
+};
+
+TEST_F(Protocol, ASampleArrivesAsItWasTaken) {
+  const auto first = deliver(next_sample());
+  ASSERT_TRUE(first);
+  EXPECT_EQ(first->sample_index, 0);
+  EXPECT_EQ(first->brake_time_ns, clock_ns_);
+  EXPECT_EQ(first->arrival_time_ns, now_ns_);
+  EXPECT_NEAR(first->torque_Nm, 1.2345, 0.5e-4);
+  EXPECT_NEAR(first->velocity_rad_s, -56.78, 0.01);
+  EXPECT_NEAR(first->force_N, 23456.0, 0.5);
+  EXPECT_NEAR(first->position_rad, 12.345, 0.5e-3);
+  EXPECT_TRUE(first->drive_enabled);
+  EXPECT_FALSE(first->watchdog_tripped);
+  EXPECT_FALSE(first->brake_fault);
+
+  reading_.watchdog_tripped = true;
+  reading_.drive_enabled = false;
+  reading_.brake_fault = true;
+  const auto second = deliver(next_sample());
+  ASSERT_TRUE(second);
+  EXPECT_EQ(second->sample_index, 1);
+  EXPECT_TRUE(second->watchdog_tripped);
+  EXPECT_TRUE(second->brake_fault);
+  EXPECT_FALSE(second->drive_enabled);
+}
+
+TEST_F(Protocol, FramesOfASampleMayComeInAnyOrder) {
+  auto frames = next_sample();
+  std::swap(frames.front(), frames.back());
+  EXPECT_TRUE(deliver(frames));
+}
+
+TEST_F(Protocol, ClockUnwrapsOverItsWrap) {
+  clock_ns_ = ((1LL << 32) - 3) * 1000;
+  std::int64_t previous_ns = -1;
+  for (int i = 0; i < 10; ++i) {
+    const auto feedback = deliver(next_sample());
+    ASSERT_TRUE(feedback) << i;
+    if (i > 0) {
+      EXPECT_EQ(feedback->brake_time_ns - previous_ns, kPeriod_ns);
+    }
+    previous_ns = feedback->brake_time_ns;
+    EXPECT_EQ(feedback->sample_index, i);
+  }
+  EXPECT_EQ(station_.counts().counter_errors, 0U);
+}
+
+TEST_F(Protocol, ALostFrameIsALostSampleAndNothingElse) {
+  ASSERT_TRUE(deliver(next_sample()));
+  auto frames = next_sample();
+  frames.pop_back();
+  EXPECT_FALSE(deliver(frames));
+  const auto feedback = deliver(next_sample());
+  ASSERT_TRUE(feedback);
+  EXPECT_EQ(feedback->sample_index, 2);
+  EXPECT_EQ(station_.counts().lost_samples, 1U);
+  EXPECT_EQ(station_.counts().counter_errors, 0U);
+}
+
+TEST_F(Protocol, HalvesOfDifferentSamplesAreNeverJoined) {
+  ASSERT_TRUE(deliver(next_sample()));
+  const auto one = next_sample();
+  const auto two = next_sample();
+  EXPECT_FALSE(deliver({one[0], two[1]}));
+  EXPECT_TRUE(deliver(next_sample()));
+  EXPECT_EQ(station_.counts().lost_samples, 2U);
+}
+
+TEST_F(Protocol, LongGapsAreCountedByTheClock) {
+  ASSERT_TRUE(deliver(next_sample()));
+  for (int i = 0; i < 99; ++i) next_sample();
+  const auto feedback = deliver(next_sample());
+  ASSERT_TRUE(feedback);
+  EXPECT_EQ(feedback->sample_index, 100);
+  EXPECT_EQ(station_.counts().lost_samples, 99U);
+}
+
+TEST_F(Protocol, CorruptFramesAreRefusedAndCounted) {
+  ASSERT_TRUE(deliver(next_sample()));
+  for (int i = 0; i < 20; ++i) EXPECT_FALSE(deliver(next_sample(WireFault::CorruptCrc)));
+  EXPECT_EQ(station_.counts().crc_errors, 40U);
+  const auto feedback = deliver(next_sample());
+  ASSERT_TRUE(feedback) << "good frames are taken again at once";
+  EXPECT_EQ(feedback->sample_index, 21);
+}
+
+TEST_F(Protocol, WrongSizeIsRefused) {
+  auto frames = next_sample();
+  frames[0].size = 7;
+  EXPECT_FALSE(deliver(frames));
+  EXPECT_EQ(station_.counts().crc_errors, 1U);
+}
+
+TEST_F(Protocol, AFrozenCounterIsRefusedForAsLongAsItLasts) {
+  ASSERT_TRUE(deliver(next_sample()));
+  for (int i = 0; i < 100; ++i) EXPECT_FALSE(deliver(next_sample(WireFault::FrozenCounter)));
+  EXPECT_EQ(station_.counts().counter_errors, 200U);
+  // The counter goes on from where it froze, the clock did not freeze: refused once more, then taken.
+  int refused = 0;
+  while (!deliver(next_sample())) ++refused;
+  EXPECT_LE(refused, 1);
+}
+
+TEST_F(Protocol, AFrozenClockIsRefused) {
+  ASSERT_TRUE(deliver(next_sample()));
+  for (int i = 0; i < 20; ++i) {
+    clock_ns_ -= kPeriod_ns;
+    EXPECT_FALSE(deliver(next_sample()));
+  }
+  EXPECT_EQ(station_.counts().counter_errors, 20U);
+}
+
+TEST_F(Protocol, ARestartedBrakeIsRefusedOnceAndItsTimeStaysMonotonic) {
+  const auto before = deliver(next_sample());
+  ASSERT_TRUE(before);
+  brake_ = BrakeProtocol{codec_};
+  clock_ns_ = 0;
+  now_ns_ += 3'000'000'000;
+  EXPECT_FALSE(deliver(next_sample()));
+  EXPECT_EQ(station_.counts().counter_errors, 1U);
+  const auto after = deliver(next_sample());
+  ASSERT_TRUE(after);
+  EXPECT_GT(after->sample_index, before->sample_index);
+  EXPECT_GT(after->brake_time_ns, before->brake_time_ns);
+}
+
+TEST_F(Protocol, ReplayedOldFramesAreRefused) {
+  const auto old = next_sample();
+  ASSERT_TRUE(deliver(old));
+  for (int i = 0; i < 4; ++i) ASSERT_TRUE(deliver(next_sample()));
+  EXPECT_FALSE(deliver(old));
+  EXPECT_EQ(station_.counts().counter_errors, 2U);
+}
+
+TEST_F(Protocol, ImpossibleValuesAreRefusedUnderAValidCrc) {
+  ASSERT_TRUE(deliver(next_sample()));
+  EXPECT_FALSE(deliver(next_sample(WireFault::ImpossibleValues)));
+  EXPECT_EQ(station_.counts().implausible, 1U);
+  EXPECT_EQ(station_.counts().crc_errors, 0U);
+}
+
+TEST_F(Protocol, OtherIdentifiersAreIgnored) {
+  EXPECT_FALSE(station_.accept(Frame{0x7FF, 8, {}}, now_ns_));
+  EXPECT_FALSE(brake_.accept(Frame{0x7FF, 8, {}}, now_ns_));
+  EXPECT_EQ(station_.counts().crc_errors, 0U);
+  EXPECT_EQ(brake_.counts().crc_errors, 0U);
+}
+
+TEST_F(Protocol, CommandsArriveAsTheyWereGiven) {
+  for (int i = 0; i < 40; ++i) {
+    const double torque_Nm = -2.0 + 0.1 * i;
+    const auto command = brake_.accept(station_.command({torque_Nm, true}), now_ns_ += kPeriod_ns);
+    ASSERT_TRUE(command) << i;
+    EXPECT_NEAR(command->torque_Nm, torque_Nm, 0.5e-4);
+    EXPECT_TRUE(command->enable);
+  }
+}
+
+TEST_F(Protocol, UnusableCommandsGoOutDisabledAtZero) {
+  for (const double torque_Nm :
+       {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
+    const auto command = brake_.accept(station_.command({torque_Nm, true}), now_ns_ += kPeriod_ns);
+    ASSERT_TRUE(command);
+    EXPECT_FALSE(command->enable);
+    EXPECT_EQ(command->torque_Nm, 0.0);
+  }
+  const auto disabled = brake_.accept(station_.command({2.5, false}), now_ns_ += kPeriod_ns);
+  ASSERT_TRUE(disabled);
+  EXPECT_EQ(disabled->torque_Nm, 0.0) << "a disabled command carries no torque";
+}
+
+TEST_F(Protocol, TheBrakeRefusesBadCommands) {
+  const Frame first = station_.command({1.0, true});
+  EXPECT_TRUE(brake_.accept(first, now_ns_));
+  EXPECT_FALSE(brake_.accept(first, now_ns_ += kPeriod_ns)) << "repeated";
+  EXPECT_EQ(brake_.counts().counter_errors, 1U);
+  Frame corrupt = station_.command({1.0, true});
+  corrupt.data[0] ^= 1U;
+  EXPECT_FALSE(brake_.accept(corrupt, now_ns_ += kPeriod_ns));
+  EXPECT_EQ(brake_.counts().crc_errors, 1U);
+  Frame beyond = station_.command({1.0, true});
+  codec_.torque_command.set_raw(beyond, 0x7FFF);
+  codec_.command.protect(beyond, 2);
+  EXPECT_FALSE(brake_.accept(beyond, now_ns_ += kPeriod_ns));
+  EXPECT_EQ(brake_.counts().implausible, 1U);
+  EXPECT_TRUE(brake_.accept(station_.command({1.0, true}), now_ns_ += kPeriod_ns));
+}
+
+}  // namespace
+}  // namespace clampd::can
