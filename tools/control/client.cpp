@@ -15,6 +15,11 @@ std::string trimmed(std::string text) {
   return text;
 }
 
+tl::unexpected<Error> unexpected_answer(const nlohmann::json::exception& mismatch) {
+  return failure(std::string("the daemon's answer is not what this clampctl expects (") + mismatch.what() +
+                 "); are both of the same version?");
+}
+
 }  // namespace
 
 Client::Client(std::string address, int port, std::string token_file)
@@ -50,27 +55,41 @@ Result<nlohmann::ordered_json> Client::exchange(const std::string& method, const
 }
 
 Result<StationStatus> Client::status() const {
-  return exchange("GET", "/v1/status", {}).map([](const auto& document) {
-    return nlohmann::json(document).get<StationStatus>();
-  });
+  const auto document = exchange("GET", "/v1/status", {});
+  if (!document) return tl::unexpected(document.error());
+  try {
+    return nlohmann::json(*document).get<StationStatus>();
+  } catch (const nlohmann::json::exception& mismatch) {
+    return unexpected_answer(mismatch);
+  }
 }
 
 Result<std::uint64_t> Client::start(const CheckRequest& request) const {
-  return exchange("POST", "/v1/checks", nlohmann::ordered_json(nlohmann::json(request)))
-      .map([](const auto& document) { return document.value("check", std::uint64_t{0}); });
+  const auto document = exchange("POST", "/v1/checks", nlohmann::json(request));
+  if (!document) return tl::unexpected(document.error());
+  try {
+    return document->at("check").get<std::uint64_t>();
+  } catch (const nlohmann::json::exception& mismatch) {
+    return unexpected_answer(mismatch);
+  }
 }
 
-Result<CheckProgress> Client::progress() const {
-  return exchange("GET", "/v1/checks/current", {}).map([](const auto& document) {
+Result<CheckProgress> Client::progress(bool colour) const {
+  const auto document = exchange("GET", colour ? "/v1/checks/current?colour=1" : "/v1/checks/current", {});
+  if (!document) return tl::unexpected(document.error());
+  try {
     CheckProgress progress;
-    progress.check = document.value("check", progress.check);
-    progress.finished = document.value("finished", false);
-    progress.phase = document.value("phase", std::string());
-    progress.repeat = document.value("repeat", progress.repeat);
-    progress.repeats = document.value("repeats", progress.repeats);
-    progress.record = document.value("record", nlohmann::ordered_json());
+    document->at("check").get_to(progress.check);
+    document->at("finished").get_to(progress.finished);
+    document->at("phase").get_to(progress.phase);
+    document->at("repeat").get_to(progress.repeat);
+    document->at("repeats").get_to(progress.repeats);
+    document->at("table").get_to(progress.table);
+    progress.record = document->at("record");
     return progress;
-  });
+  } catch (const nlohmann::json::exception& mismatch) {
+    return unexpected_answer(mismatch);
+  }
 }
 
 Result<void> Client::stop() const {

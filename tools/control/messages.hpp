@@ -6,13 +6,20 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/base/result.hpp"
+#include "clampd/station/session.hpp"
+
+namespace clampd {
+
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(CheckRequest, serial, repeats, operator_name, part_number, batch)
+
+}  // namespace clampd
 
 namespace clampd::control {
 
 // What goes over the control API (HTTP on the loopback interface, JSON bodies):
 //   GET  /v1/status          StationStatus
 //   POST /v1/checks          CheckRequest -> {"check": number}; 409 while the station is not IDLE
-//   GET  /v1/checks/current  CheckProgress
+//   GET  /v1/checks/current  CheckProgress; ?colour=1 for a table with ANSI colours
 //   POST /v1/stop            operator stop
 //   POST /v1/clear           clears a fault whose cause is gone; 409 with the reason if it is not
 //   GET  /v1/results         query: serial, verdict, limit
@@ -51,17 +58,8 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version,
                                                 lateness_avg_us, lateness_max_us, force_N, velocity_rad_s, torque_Nm,
                                                 interface, link, bus_load, simulated, realtime)
 
-/// Which brake to check, and how.
-struct CheckRequest {
-  std::string serial;
-  std::uint32_t repeats = 0;  ///< 0: as configured
-  std::string operator_name;
-  std::string part_number;
-  std::string batch;
-};
-NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(CheckRequest, serial, repeats, operator_name, part_number, batch)
-
-/// Where a check stands; `record` is the finished clampd.check/1 document, null until then.
+/// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the same as a
+/// technician reads it.
 struct CheckProgress {
   std::uint64_t check = 0;
   bool finished = false;
@@ -69,6 +67,7 @@ struct CheckProgress {
   std::uint32_t repeat = 0;
   std::uint32_t repeats = 0;
   nlohmann::ordered_json record;
+  std::string table;
 };
 
 /// The station's half of the conversation, from a program that talks to the daemon.
@@ -78,7 +77,7 @@ class Client {
 
   Result<StationStatus> status() const;
   Result<std::uint64_t> start(const CheckRequest& request) const;
-  Result<CheckProgress> progress() const;
+  Result<CheckProgress> progress(bool colour) const;
   Result<void> stop() const;
   Result<void> clear() const;
 

@@ -1,0 +1,127 @@
+#include "tools/assembly/check_conductor.hpp"
+
+#include <fmt/format.h>
+
+#include "clampd/base/clock.hpp"
+#include "clampd/base/version.hpp"
+#include "clampd/identify/output_error.hpp"
+#include "rt/policy.hpp"
+
+namespace clampd::assembly {
+
+namespace {
+
+PortHealth difference(const PortHealth& now, const PortHealth& before) {
+  PortHealth counts = now;
+  counts.frames_received -= before.frames_received;
+  counts.frames_sent -= before.frames_sent;
+  counts.send_failures -= before.send_failures;
+  counts.crc_errors -= before.crc_errors;
+  counts.counter_errors -= before.counter_errors;
+  counts.lost_samples -= before.lost_samples;
+  counts.implausible -= before.implausible;
+  counts.error_frames -= before.error_frames;
+  counts.bus_off_events -= before.bus_off_events;
+  counts.receive_overflows -= before.receive_overflows;
+  counts.bus_bits -= before.bus_bits;
+  return counts;
+}
+
+}  // namespace
+
+CheckConductor::CheckConductor(const PreparedStation& station, rt::ControlCore& core, CheckStore* store,
+                               WorkerMode mode)
+    : station_(station), core_(core), store_(store), mode_(mode), plan_(station.plan) {}
+
+CheckConductor::~CheckConductor() = default;
+
+Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
+  if (const Result<void> valid = validate(request); !valid) return valid;
+  if (busy()) return failure(fmt::format("a check of {} is under way; wait for it or stop it with `clampctl stop`", serial_));
+  const StationState state = core_.status().state.load();
+  if (state == StationState::Fault) {
+    const rt::FaultRule& rule = rt::fault_rule(core_.status().fault.load());
+    return failure(fmt::format("the station is in FAULT ({}): {} Clear it with `clampctl clear`", to_string(rule.cause),
+                               rule.advice));
+  }
+  if (state != StationState::Idle)
+    return failure(fmt::format("the station is not ready: it is in {}", to_string(state)));
+
+  Sample stale;
+  while (core_.ring().pop(stale)) {
+  }
+  if (request.repeats > 0) plan_.repeats = static_cast<std::uint16_t>(request.repeats);
+  else plan_.repeats = station_.plan.repeats;
+  CheckContext context;
+  context.trajectory_rows = plan_.reference.rows.size();
+  context.trajectory_sha256 = station_.trajectory_sha256;
+  context.software_version = std::string(kVersion);
+  context.started_utc_ns = now.utc_ns;
+  session_ = std::make_unique<CheckSession>(station_.configuration, station_.limits, request, context,
+                                            identify_output_error, mode_);
+  serial_ = request.serial;
+  started_steady_ns_ = now.steady_ns;
+  deadline_passed_ = false;
+  health_before_ = core_.health();
+  finished_before_ = core_.status().checks_finished.load();
+  core_.requests().plan.store(&plan_, std::memory_order_release);
+  return {};
+}
+
+std::optional<CheckRecord> CheckConductor::pump(Instant now) {
+  // Read before the ring is emptied: what belongs to a finished check is in the ring by then.
+  const bool finished = busy() && core_.status().checks_finished.load(std::memory_order_acquire) != finished_before_;
+  Sample sample;
+  while (core_.ring().pop(sample))
+    if (busy() && sample.phase != CheckPhase::None) session_->consume(sample);
+  if (finished) return finish(now);
+  if (busy() && !deadline_passed_ &&
+      static_cast<double>(now.steady_ns - started_steady_ns_) > station_.configuration.check.deadline_s * 1e9) {
+    deadline_passed_ = true;
+    core_.requests().stop.store(true, std::memory_order_release);
+  }
+  return std::nullopt;
+}
+
+CheckSession::Progress CheckConductor::progress() const {
+  return busy() ? session_->progress() : CheckSession::Progress{};
+}
+
+CheckRecord CheckConductor::finish(Instant now) {
+  const rt::StatusBoard& status = core_.status();
+  const rt::HistogramSnapshot lateness = core_.lateness().snapshot();
+  CheckOutcome outcome;
+  outcome.deadline_passed = deadline_passed_;
+  outcome.stopped_utc_ns = now.utc_ns;
+  if (status.state.load() == StationState::Fault) {
+    outcome.fault = status.fault.load();
+    outcome.fault_text = std::string(rt::fault_rule(outcome.fault).advice);
+    outcome.flight_recorder = core_.flight_recorder().last_capture();
+  }
+  outcome.health = difference(core_.health(), health_before_);
+  TimingRecord& timing = outcome.timing;
+  timing.ticks = status.check_ticks.load();
+  timing.skipped = status.check_skipped.load();
+  timing.lost_samples = status.check_ring_drops.load();
+  timing.lateness_min_us = lateness.min_us;
+  timing.lateness_avg_us = lateness.avg_us;
+  timing.lateness_max_us = lateness.max_us;
+  timing.lateness_histogram = lateness.bins;
+  const double periods = static_cast<double>(timing.ticks + timing.skipped);
+  if (periods > 0.0)
+    timing.bus_load = static_cast<double>(outcome.health.bus_bits) /
+                      (static_cast<double>(station_.configuration.can.bitrate) * periods * kPeriod_s);
+
+  CheckRecord record = session_->finish(std::move(outcome));
+  session_.reset();
+  if (store_ != nullptr) {
+    if (const Result<void> saved = store_->save(record); !saved) {
+      // A result that is not on record must not release a brake.
+      record.verdict = Verdict::Error;
+      record.reason = "the result could not be saved: " + saved.error().message;
+    }
+  }
+  return record;
+}
+
+}  // namespace clampd::assembly

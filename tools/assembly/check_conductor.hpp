@@ -1,0 +1,56 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+
+#include "clampd/archive/store.hpp"
+#include "clampd/record/check_record.hpp"
+#include "clampd/station/session.hpp"
+#include "rt/control_core.hpp"
+#include "tools/assembly/prepared_station.hpp"
+
+namespace clampd::assembly {
+
+/// Both clocks, read at the edges: the wall clock for records, the steady one for deadlines.
+struct Instant {
+  std::int64_t steady_ns = 0;
+  std::int64_t utc_ns = 0;
+};
+
+/// Takes checks through a control core: hands it the plan, empties its ring into the session, and turns the end of the
+/// sequence into a saved record. Everything here runs outside of the real-time thread; one thread at a time.
+class CheckConductor {
+ public:
+  /// `core` must outlive this. Without a store, records are only returned.
+  CheckConductor(const PreparedStation& station, rt::ControlCore& core, CheckStore* store, WorkerMode mode);
+  /// The core must not run any more, or no check be under way.
+  ~CheckConductor();
+
+  /// Starts a check. Errors: the request is not valid, the station is not IDLE (with its fault), a check is under way.
+  Result<void> begin(const CheckRequest& request, Instant now);
+
+  /// Empties the ring; gives the record once the check has ended. Call it at least every second: the ring holds eight.
+  std::optional<CheckRecord> pump(Instant now);
+
+  bool busy() const { return session_ != nullptr; }
+  CheckSession::Progress progress() const;
+  const std::string& serial() const { return serial_; }
+
+ private:
+  CheckRecord finish(Instant now);
+
+  const PreparedStation& station_;
+  rt::ControlCore& core_;
+  CheckStore* store_;
+  WorkerMode mode_;
+  rt::CheckPlan plan_;
+  std::unique_ptr<CheckSession> session_;
+  std::string serial_;
+  std::uint64_t finished_before_ = 0;
+  PortHealth health_before_;
+  std::int64_t started_steady_ns_ = 0;
+  bool deadline_passed_ = false;
+};
+
+}  // namespace clampd::assembly

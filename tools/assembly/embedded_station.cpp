@@ -1,0 +1,63 @@
+#include "tools/assembly/embedded_station.hpp"
+
+#include <array>
+#include <chrono>
+#include <optional>
+
+#include "clampd/base/clock.hpp"
+#include "tools/assembly/check_conductor.hpp"
+
+namespace clampd::assembly {
+
+namespace {
+
+std::int64_t utc_now_ns() {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch())
+      .count();
+}
+
+}  // namespace
+
+EmbeddedStation::EmbeddedStation(PreparedStation station, const sim::PlantConfiguration& plant)
+    : station_(std::move(station)),
+      bus_(static_cast<double>(station_.configuration.can.bitrate)),
+      port_(bus_.end(can::EmbeddedBus::End::Station), station_.codec),
+      brake_protocol_(station_.codec),
+      brake_(plant),
+      core_(port_, station_.supervisor) {}
+
+void EmbeddedStation::advance_one_period() {
+  can::FrameBus& wire = bus_.end(can::EmbeddedBus::End::Brake);
+  std::array<can::TimedFrame, 8> received;
+  const std::size_t count = wire.receive(received, now_ns_);
+  for (std::size_t i = 0; i < count; ++i)
+    if (const auto command = brake_protocol_.accept(received[i].frame, received[i].arrival_ns)) brake_.command(*command);
+  const BrakeFeedback reading = brake_.sample();
+  std::array<can::Frame, can::kMaximumFeedbackFrames> frames;
+  const std::size_t frame_count = brake_protocol_.feedback(reading, frames);
+  for (std::size_t i = 0; i < frame_count; ++i) wire.send(frames[i], now_ns_);
+  core_.tick(now_ns_ + kPeriod_ns / 2, 0, 0);
+  now_ns_ += kPeriod_ns;
+}
+
+Result<CheckRecord> EmbeddedStation::run_check(const CheckRequest& request, CheckStore* store,
+                                               const Progress& progress) {
+  CheckConductor conductor(station_, core_, store, WorkerMode::Synchronous);
+  const std::int64_t utc_start_ns = utc_now_ns();
+  const std::int64_t start_ns = now_ns_;
+  const auto now = [&] { return Instant{now_ns_, utc_start_ns + now_ns_ - start_ns}; };
+
+  const rt::StatusBoard& status = core_.status();
+  while (status.state.load() == StationState::Init) advance_one_period();
+  if (const Result<void> begun = conductor.begin(request, now()); !begun) return tl::unexpected(begun.error());
+  while (true) {
+    advance_one_period();
+    if (std::optional<CheckRecord> record = conductor.pump(now())) return *std::move(record);
+    constexpr std::int64_t kProgressEvery_ns = 20 * kNanosecondsPerMillisecond;
+    if (progress && now_ns_ % kProgressEvery_ns == 0 &&
+        !progress(status.phase.load(), status.repeat.load(), conductor.progress().repeats))
+      core_.requests().stop.store(true);
+  }
+}
+
+}  // namespace clampd::assembly

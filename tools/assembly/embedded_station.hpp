@@ -1,0 +1,44 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+
+#include "clampd/archive/store.hpp"
+#include "clampd/base/result.hpp"
+#include "clampd/record/check_record.hpp"
+#include "clampd/station/session.hpp"
+#include "drivers/can/can_brake.hpp"
+#include "drivers/can/embedded_bus.hpp"
+#include "drivers/sim/simulated_brake.hpp"
+#include "rt/control_core.hpp"
+#include "tools/assembly/prepared_station.hpp"
+
+namespace clampd::assembly {
+
+/// A whole station with a simulated brake in one thread and in virtual time, for machines without CAN and for tests:
+/// the same frames, tick, session and worker as on the bench; only the thread, the socket and the metal are missing.
+/// The brake samples on every millisecond, the station's tick follows half a period later.
+class EmbeddedStation {
+ public:
+  /// Both must be valid; neither is kept beyond what is copied here.
+  EmbeddedStation(PreparedStation station, const sim::PlantConfiguration& plant);
+
+  /// How far a check is; false asks for an operator stop.
+  using Progress = std::function<bool(CheckPhase phase, std::uint32_t repeat, std::uint32_t repeats)>;
+
+  /// One check from a station that just started to its record. Errors: the request is not valid.
+  Result<CheckRecord> run_check(const CheckRequest& request, CheckStore* store, const Progress& progress);
+
+ private:
+  void advance_one_period();
+
+  PreparedStation station_;
+  can::EmbeddedBus bus_;
+  can::CanBrake port_;
+  can::BrakeProtocol brake_protocol_;
+  sim::SimulatedBrake brake_;
+  rt::ControlCore core_;
+  std::int64_t now_ns_ = 0;
+};
+
+}  // namespace clampd::assembly

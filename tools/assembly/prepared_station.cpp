@@ -1,0 +1,149 @@
+#include "tools/assembly/prepared_station.hpp"
+
+#include <array>
+#include <filesystem>
+#include <string_view>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "clampd/archive/checksum.hpp"
+#include "clampd/base/clock.hpp"
+#include "clampd/experiment/reference.hpp"
+#include "clampd/record/file.hpp"
+#include "clampd/record/run.hpp"
+#include "tools/assembly/builtin.hpp"
+
+namespace clampd::assembly {
+
+namespace {
+
+constexpr const char* kInstalledConfiguration = "/etc/clampd/station.toml";
+
+struct MappingRole {
+  std::string_view role;
+  std::string can::ProtocolMapping::*signal;
+};
+
+constexpr std::array kMappingRoles{
+    MappingRole{"torque_command", &can::ProtocolMapping::torque_command},
+    MappingRole{"enable", &can::ProtocolMapping::enable},
+    MappingRole{"force", &can::ProtocolMapping::force},
+    MappingRole{"velocity", &can::ProtocolMapping::velocity},
+    MappingRole{"torque", &can::ProtocolMapping::torque},
+    MappingRole{"position", &can::ProtocolMapping::position},
+    MappingRole{"sample_clock", &can::ProtocolMapping::sample_clock},
+    MappingRole{"enabled", &can::ProtocolMapping::enabled},
+    MappingRole{"watchdog", &can::ProtocolMapping::watchdog},
+    MappingRole{"fault", &can::ProtocolMapping::fault},
+    MappingRole{"counter", &can::ProtocolMapping::counter},
+    MappingRole{"crc", &can::ProtocolMapping::crc},
+};
+
+Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& configuration) {
+  can::ProtocolMapping mapping;
+  for (const auto& [role, signal] : configuration.can.mapping) {
+    bool known = false;
+    for (const MappingRole& candidate : kMappingRoles) {
+      if (candidate.role != role) continue;
+      mapping.*candidate.signal = signal;
+      known = true;
+    }
+    if (!known) {
+      std::string roles;
+      for (const MappingRole& candidate : kMappingRoles) roles += fmt::format(" {}", candidate.role);
+      return failure(fmt::format("{}: [can.mapping] has no role '{}'; the roles are:{}", configuration.file, role, roles));
+    }
+  }
+  return mapping;
+}
+
+Result<can::ProtocolCodec> build_codec(const StationConfiguration& configuration) {
+  const Result<can::ProtocolMapping> mapping = protocol_mapping(configuration);
+  if (!mapping) return tl::unexpected(mapping.error());
+  const Result<can::Database> database = configuration.can.dbc.empty()
+                                             ? can::parse_dbc(kBuiltinDbc, "built-in brake.dbc")
+                                             : can::read_dbc(configuration.can.dbc);
+  if (!database) return tl::unexpected(database.error());
+  return can::ProtocolCodec::build(*database, *mapping);
+}
+
+rt::SupervisorSettings supervisor_settings(const clampd::SupervisorSettings& configured) {
+  const auto nanoseconds = [](double milliseconds) {
+    return static_cast<std::int64_t>(milliseconds * static_cast<double>(kNanosecondsPerMillisecond));
+  };
+  rt::SupervisorSettings settings;
+  settings.startup_timeout_ns = nanoseconds(configured.start_up_ms);
+  settings.stale_ns = nanoseconds(configured.stale_after_ms);
+  settings.corrupt_tolerated = static_cast<std::uint64_t>(configured.corrupt_frames_max);
+  settings.force_limit_N = configured.over_force_N;
+  settings.speed_limit_rad_s = configured.over_speed_rad_s;
+  settings.torque_limit_Nm = configured.over_torque_Nm;
+  settings.travel_limit_rad = configured.over_travel_rad;
+  settings.skipped_in_a_row_tolerated = static_cast<std::uint64_t>(configured.missed_ticks_max);
+  settings.skipped_per_check_tolerated = static_cast<std::uint64_t>(configured.missed_ticks_total_max);
+  return settings;
+}
+
+rt::CheckPlan check_plan(const StationConfiguration& configuration, Reference reference) {
+  const CheckSettings& check = configuration.check;
+  const ParameterVector& theta = configuration.model.theta;
+  rt::CheckPlan plan;
+  plan.reference = std::move(reference);
+  plan.drive = {configuration.model.fixed.inertia_kg_m2,
+                configuration.model.fixed.ratio_m_rad,
+                theta[TC],
+                theta[Ts0],
+                theta[Tv],
+                theta[mus]};
+  plan.repeats = static_cast<std::uint16_t>(check.repeats);
+  plan.tare_s = check.tare_s;
+  plan.approach_velocity_rad_s = check.approach_velocity_rad_s;
+  plan.contact_force_N = check.contact_force_N;
+  plan.clearance_rad = check.clearance_rad;
+  plan.settle_s = check.settle_s;
+  plan.phase_timeout_s = check.phase_timeout_s;
+  plan.torque_limit_Nm = check.torque_limit_Nm;
+  return plan;
+}
+
+}  // namespace
+
+Result<StationConfiguration> load_configuration(const std::string& path) {
+  if (!path.empty()) return read_station_configuration(path);
+  std::error_code ignored;
+  if (std::filesystem::exists(kInstalledConfiguration, ignored)) return read_station_configuration(kInstalledConfiguration);
+  StationConfiguration defaults;
+  defaults.database = default_database();
+  return defaults;
+}
+
+Result<PreparedStation> prepare_station(const StationConfiguration& configuration) {
+  PreparedStation station;
+  station.configuration = configuration;
+
+  Result<LimitSet> limits =
+      configuration.limits_file.empty() ? Result<LimitSet>(default_limits()) : read_limits(configuration.limits_file);
+  if (!limits) return tl::unexpected(limits.error());
+  station.limits = std::move(*limits);
+
+  Result<can::ProtocolCodec> codec = build_codec(configuration);
+  if (!codec) return tl::unexpected(codec.error());
+  station.codec = std::move(*codec);
+
+  const std::string& file = configuration.check.trajectory;
+  const Result<LoadedRun> trajectory = file.empty()
+                                           ? parse_run(std::string(kBuiltinTrajectory), "built-in trajectory.csv")
+                                           : read_run(file);
+  if (!trajectory) return tl::unexpected(trajectory.error());
+  Result<Reference> reference = build_reference(trajectory->run, configuration.model);
+  if (!reference) return tl::unexpected(reference.error());
+  station.trajectory_sha256 = sha256_hex(format_run(trajectory->run));
+  station.plan = check_plan(configuration, std::move(*reference));
+
+  station.supervisor = supervisor_settings(configuration.supervisor);
+  if (const Result<void> valid = station.supervisor.validate(); !valid) return tl::unexpected(valid.error());
+  return station;
+}
+
+}  // namespace clampd::assembly

@@ -1,0 +1,31 @@
+#pragma once
+
+#include <string>
+
+#include "clampd/base/result.hpp"
+#include "clampd/record/reference.hpp"
+#include "clampd/station/configuration.hpp"
+#include "clampd/station/limits.hpp"
+#include "drivers/can/codec.hpp"
+#include "rt/check_sequence.hpp"
+#include "rt/supervisor.hpp"
+
+namespace clampd::assembly {
+
+/// A configuration with every file it names read and checked: nothing can be missing once a check starts.
+struct PreparedStation {
+  StationConfiguration configuration;
+  LimitSet limits;
+  can::ProtocolCodec codec;
+  rt::CheckPlan plan;  ///< with the configured number of repeats
+  rt::SupervisorSettings supervisor;
+  std::string trajectory_sha256;
+};
+
+/// Reads limits, DBC and trajectory, maps the signals and plans the check. Errors name the file and what is wrong in it.
+Result<PreparedStation> prepare_station(const StationConfiguration& configuration);
+
+/// The configuration of `path`; empty: /etc/clampd/station.toml if it is there, else the defaults.
+Result<StationConfiguration> load_configuration(const std::string& path);
+
+}  // namespace clampd::assembly

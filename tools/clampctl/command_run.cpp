@@ -1,0 +1,190 @@
+#include <atomic>
+#include <chrono>
+#include <csignal>
+#include <memory>
+#include <thread>
+
+#include <fmt/format.h>
+
+#include "clampd/archive/json.hpp"
+#include "clampd/archive/store.hpp"
+#include "clampd/archive/table.hpp"
+#include "clampd/record/file.hpp"
+#include "clampd/station/session.hpp"
+#include "clampd/station/verdict.hpp"
+#include "drivers/can/socketcan.hpp"
+#include "drivers/sim/plant_configuration.hpp"
+#include "tools/assembly/embedded_station.hpp"
+#include "tools/assembly/prepared_station.hpp"
+#include "tools/clampctl/command.hpp"
+#include "tools/cli/terminal.hpp"
+#include "tools/control/messages.hpp"
+
+namespace clampd::ctl {
+
+namespace {
+
+struct RunOptions {
+  CheckRequest request;
+  std::string simulated_brake;
+  std::string json;
+};
+
+std::atomic<bool> interrupted{false};
+
+/// Ctrl-C stops the brake first; the command then ends with what the station made of it.
+void watch_for_interrupt() {
+  interrupted = false;
+  struct sigaction action {};
+  action.sa_handler = [](int) { interrupted = true; };
+  sigaction(SIGINT, &action, nullptr);
+  sigaction(SIGTERM, &action, nullptr);
+}
+
+void show_progress(cli::ProgressLine& line, std::string_view phase, std::uint32_t repeat, std::uint32_t repeats) {
+  if (repeats == 0) return;
+  line.show(static_cast<double>(repeat) / repeats, fmt::format("run {} of {}, {}", std::min(repeat + 1, repeats), repeats, phase));
+}
+
+/// Writes the document where asked for; stdout for "-".
+Result<void> write_json(const std::string& path, const nlohmann::ordered_json& document) {
+  if (path.empty()) return {};
+  if (path == "-") {
+    fmt::print("{}\n", document.dump(2));
+    return {};
+  }
+  return write_file_atomically(path, document.dump(2) + "\n");
+}
+
+int report_input_error(const Error& error) {
+  cli::print_error(error.message);
+  return cli::kBadInput;
+}
+
+int run_embedded(const RunOptions& options, StationConfiguration configuration) {
+  configuration.simulated_brake = true;
+  sim::PlantConfiguration plant;
+  const std::string& plant_file = options.simulated_brake.empty() ? configuration.plant_file : options.simulated_brake;
+  if (!plant_file.empty()) {
+    Result<sim::PlantConfiguration> read = sim::read_plant_configuration(plant_file);
+    if (!read) return report_input_error(read.error());
+    plant = std::move(*read);
+  } else {
+    plant = sim::default_plant();
+  }
+  Result<assembly::PreparedStation> prepared = assembly::prepare_station(configuration);
+  if (!prepared) return report_input_error(prepared.error());
+  Result<CheckStore> store = CheckStore::open(configuration.database);
+  if (!store) return report_input_error(store.error());
+
+  cli::ProgressLine line;
+  assembly::EmbeddedStation station(std::move(*prepared), plant);
+  const Result<CheckRecord> record =
+      station.run_check(options.request, &*store, [&line](CheckPhase phase, std::uint32_t repeat, std::uint32_t repeats) {
+        show_progress(line, to_string(phase), repeat, repeats);
+        return !interrupted;
+      });
+  line.clear();
+  if (!record) return report_input_error(record.error());
+  if (const Result<void> written = write_json(options.json, check_json(*record)); !written)
+    return report_input_error(written.error());
+  if (options.json != "-") fmt::print("{}", format_check(*record, cli::colours_wanted()));
+  return exit_code(record->verdict);
+}
+
+int exit_code_of(const std::string& verdict) {
+  for (const Verdict candidate : {Verdict::Pass, Verdict::Fail, Verdict::Timeout, Verdict::Aborted})
+    if (verdict == to_string(candidate)) return exit_code(candidate);
+  return exit_code(Verdict::Error);
+}
+
+/// What a daemon that went away in the middle of a check leaves us with: a result that says so.
+int daemon_lost(const RunOptions& options, const std::string& why) {
+  CheckRecord record;
+  record.serial = options.request.serial;
+  record.repeats = options.request.repeats;
+  record.verdict = Verdict::Error;
+  record.reason = "the station's daemon went away during the check: " + why;
+  if (const Result<void> written = write_json(options.json, check_json(record)); !written)
+    cli::print_error(written.error().message);
+  cli::print_error(record.reason + ". The brake drops its torque by itself after 20 ms; look at the rig before the next check");
+  return cli::kStation;
+}
+
+int run_through_daemon(const RunOptions& options, const StationConfiguration& configuration) {
+  using namespace std::chrono_literals;
+  const control::Client daemon(configuration.control.address, configuration.control.port,
+                               configuration.control.token_file);
+  if (const Result<control::StationStatus> status = daemon.status(); !status) {
+    if (const auto interface = can::inspect_interface(configuration.can.interface); !interface)
+      return report_input_error(interface.error());
+    cli::print_error(status.error().message);
+    return cli::kStation;
+  }
+  const Result<std::uint64_t> check = daemon.start(options.request);
+  if (!check) {
+    cli::print_error(check.error().message);
+    return cli::kStation;
+  }
+
+  cli::ProgressLine line;
+  bool stop_sent = false;
+  int failures = 0;
+  while (true) {
+    if (interrupted && !stop_sent) {
+      if (const Result<void> stopped = daemon.stop(); !stopped) cli::print_error(stopped.error().message);
+      stop_sent = true;
+    }
+    const Result<control::CheckProgress> progress = daemon.progress(options.json != "-" && cli::colours_wanted());
+    if (!progress) {
+      if (++failures < 3) continue;
+      line.clear();
+      return daemon_lost(options, progress.error().message);
+    }
+    failures = 0;
+    if (progress->check != *check) {
+      line.clear();
+      return daemon_lost(options, "it was restarted or works on another check");
+    }
+    if (progress->finished) {
+      line.clear();
+      if (const Result<void> written = write_json(options.json, progress->record); !written)
+        return report_input_error(written.error());
+      if (options.json != "-") fmt::print("{}", progress->table);
+      return exit_code_of(progress->record.value("verdict", ""));
+    }
+    show_progress(line, progress->phase, progress->repeat, progress->repeats);
+    std::this_thread::sleep_for(100ms);
+  }
+}
+
+int run(const RunOptions& options, const CommonOptions& common) {
+  Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
+  if (!configuration) return report_input_error(configuration.error());
+  if (const Result<void> valid = validate(options.request); !valid) return report_input_error(valid.error());
+  watch_for_interrupt();
+  if (configuration->embedded() || !options.simulated_brake.empty())
+    return run_embedded(options, std::move(*configuration));
+  return run_through_daemon(options, *configuration);
+}
+
+}  // namespace
+
+void add_run_command(CLI::App& app, const CommonOptions& common, int& exit_code) {
+  auto options = std::make_shared<RunOptions>();
+  CLI::App* command = app.add_subcommand("run", "check one brake and say pass or fail");
+  command->add_option("--serial", options->request.serial, "serial number of the brake")->required();
+  command->add_option("--repeats", options->request.repeats, "how often to run the trajectory (default: as configured, 20)")
+      ->check(CLI::Range(1, 200));
+  command->add_option("--operator", options->request.operator_name, "who checks");
+  command->add_option("--part-number", options->request.part_number, "part number of the brake");
+  command->add_option("--batch", options->request.batch, "batch of the brake");
+  command
+      ->add_option("--simulated-brake", options->simulated_brake,
+                   "check a simulated brake, in virtual time and in this process, even if a daemon is configured")
+      ->type_name("PLANT.toml");
+  command->add_option("--json", options->json, "write the result as clampd.check/1; - for standard output")->type_name("FILE");
+  command->callback([options, &common, &exit_code] { exit_code = run(*options, common); });
+}
+
+}  // namespace clampd::ctl

@@ -1,0 +1,83 @@
+#include <memory>
+#include <optional>
+
+#include <fmt/format.h>
+
+#include "tools/assembly/prepared_station.hpp"
+#include "tools/clampctl/command.hpp"
+#include "tools/cli/terminal.hpp"
+#include "tools/control/messages.hpp"
+
+namespace clampd::ctl {
+
+namespace {
+
+int report(const Error& error, int exit_code) {
+  cli::print_error(error.message);
+  return exit_code;
+}
+
+/// Runs `ask` with a client of the configured daemon.
+template <class Ask>
+int with_daemon(const CommonOptions& common, Ask ask) {
+  const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
+  if (!configuration) return report(configuration.error(), cli::kBadInput);
+  if (configuration->embedded())
+    return report({"no daemon is configured: without [can] interface, `clampctl run` checks an embedded simulated brake. "
+                   "Name a station configuration with --config"},
+                  cli::kBadInput);
+  return ask(control::Client(configuration->control.address, configuration->control.port,
+                             configuration->control.token_file));
+}
+
+void print_status(const control::StationStatus& status) {
+  fmt::print("{}  {}{}\n", status.station, status.state, status.simulated ? "  (simulated brake)" : "");
+  if (status.fault != "none") {
+    fmt::print("  fault      {}: {}\n", status.fault, status.fault_text);
+    fmt::print("             {}\n", status.clearable ? "its cause is gone: `clampctl clear`" : "its cause is still there");
+  }
+  if (!status.serial.empty())
+    fmt::print("  check      {}{}{}\n", status.serial, status.last_verdict.empty() ? "" : ": ", status.last_verdict);
+  if (status.repeats > 0)
+    fmt::print("  running    {}, run {} of {}\n", status.phase, status.repeat + 1, status.repeats);
+  fmt::print("  brake      {:.0f} N, {:.1f} rad/s, {:.3f} N m\n", status.force_N, status.velocity_rad_s, status.torque_Nm);
+  fmt::print("  bus        {} {}, load {:.0f} %\n", status.interface, status.link, 100.0 * status.bus_load);
+  fmt::print("  loop       {} ticks, {} skipped, lateness avg {:.0f} µs, max {:.0f} µs{}\n", status.ticks, status.skipped,
+             status.lateness_avg_us, status.lateness_max_us, status.realtime ? "" : " (not a real-time thread)");
+  fmt::print("  software   {}\n", status.version);
+}
+
+}  // namespace
+
+void add_station_commands(CLI::App& app, const CommonOptions& common, int& exit_code) {
+  auto json = std::make_shared<bool>(false);
+  CLI::App* status = app.add_subcommand("status", "what the station is doing now");
+  status->add_flag("--json", *json, "as JSON on standard output");
+  status->callback([json, &common, &exit_code] {
+    exit_code = with_daemon(common, [&](const control::Client& daemon) {
+      const Result<control::StationStatus> now = daemon.status();
+      if (!now) return report(now.error(), cli::kStation);
+      if (*json)
+        fmt::print("{}\n", nlohmann::ordered_json(nlohmann::json(*now)).dump(2));
+      else
+        print_status(*now);
+      return static_cast<int>(cli::kSuccess);
+    });
+  });
+
+  app.add_subcommand("stop", "stop the brake now")->callback([&common, &exit_code] {
+    exit_code = with_daemon(common, [](const control::Client& daemon) {
+      const Result<void> stopped = daemon.stop();
+      return stopped ? static_cast<int>(cli::kSuccess) : report(stopped.error(), cli::kStation);
+    });
+  });
+
+  app.add_subcommand("clear", "clear a fault whose cause is gone")->callback([&common, &exit_code] {
+    exit_code = with_daemon(common, [](const control::Client& daemon) {
+      const Result<void> cleared = daemon.clear();
+      return cleared ? static_cast<int>(cli::kSuccess) : report(cleared.error(), cli::kStation);
+    });
+  });
+}
+
+}  // namespace clampd::ctl

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <thread>
+
+#include "clampd/base/result.hpp"
+#include "tools/control/messages.hpp"
+
+namespace clampd::daemon {
+
+/// What the control API may ask of the daemon; called from the server's threads.
+class ControlTarget {
+ public:
+  virtual ~ControlTarget() = default;
+  virtual control::StationStatus status() = 0;
+  virtual Result<std::uint64_t> start(const CheckRequest& request) = 0;
+  virtual control::CheckProgress progress(bool colour) = 0;
+  virtual Result<void> stop() = 0;
+  virtual Result<void> clear() = 0;
+  virtual Result<nlohmann::ordered_json> results(const std::string& serial, const std::string& verdict,
+                                                 std::uint32_t limit) = 0;
+  virtual Result<nlohmann::ordered_json> result(const std::string& id) = 0;
+};
+
+/// The control API of tools/control/messages.hpp over HTTP.
+class ControlServer {
+ public:
+  /// Binds and starts to serve. An empty token file: no token is asked for. Errors: the address is taken or not ours, the
+  /// token file cannot be written.
+  static Result<std::unique_ptr<ControlServer>> start(ControlTarget& target, const std::string& address, int port,
+                                                      const std::string& token_file);
+  ~ControlServer();
+  ControlServer(const ControlServer&) = delete;
+  ControlServer& operator=(const ControlServer&) = delete;
+
+  int port() const { return port_; }
+
+ private:
+  struct Http;
+  ControlServer();
+
+  std::unique_ptr<Http> http_;
+  std::thread thread_;
+  int port_ = 0;
+};
+
+}  // namespace clampd::daemon

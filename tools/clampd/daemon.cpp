@@ -1,0 +1,185 @@
+#include "tools/clampd/daemon.hpp"
+
+#include <chrono>
+#include <thread>
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include "clampd/archive/json.hpp"
+#include "clampd/archive/table.hpp"
+#include "clampd/base/clock.hpp"
+#include "clampd/base/version.hpp"
+#include "rt/policy.hpp"
+
+namespace clampd::daemon {
+
+using namespace std::chrono_literals;
+
+namespace {
+
+assembly::Instant instant_now() {
+  const auto utc = std::chrono::system_clock::now().time_since_epoch();
+  return {monotonic_now_ns(), std::chrono::duration_cast<std::chrono::nanoseconds>(utc).count()};
+}
+
+std::optional<Verdict> parse_verdict(const std::string& text) {
+  for (const Verdict verdict : {Verdict::Pass, Verdict::Fail, Verdict::Error, Verdict::Timeout, Verdict::Aborted})
+    if (text == to_string(verdict)) return verdict;
+  return std::nullopt;
+}
+
+}  // namespace
+
+Daemon::Daemon(const assembly::PreparedStation& station, can::SocketCanBus& bus, CheckStore& store)
+    : station_(station),
+      bus_(bus),
+      store_(store),
+      port_(bus, station.codec),
+      core_(port_, station.supervisor),
+      conductor_(station, core_, &store, WorkerMode::Background) {}
+
+Result<void> Daemon::start() {
+  const RealtimeSettings& realtime = station_.configuration.realtime;
+  return loop_.start(rt::CyclicThreadSettings{realtime.priority, realtime.cpu, realtime.lock_memory}, core_);
+}
+
+void Daemon::serve(const std::atomic<bool>& quit) {
+  while (!quit) {
+    pump();
+    std::this_thread::sleep_for(5ms);
+  }
+  // The loop's last act zeroes the torque and ends a check; its record is saved before the daemon goes.
+  loop_.stop();
+  pump();
+}
+
+void Daemon::pump() {
+  const std::lock_guard lock(mutex_);
+  if (std::optional<CheckRecord> record = conductor_.pump(instant_now())) {
+    spdlog::info("check {} of {}: {}. {}", record->id, record->serial, to_string(record->verdict), record->reason);
+    last_record_ = std::move(record);
+  }
+  report_state_changes();
+  reopen_bus_if_gone();
+}
+
+void Daemon::report_state_changes() {
+  const StationState state = core_.status().state.load();
+  if (state == reported_state_) return;
+  reported_state_ = state;
+  if (state == StationState::Fault) {
+    const rt::FaultRule& rule = rt::fault_rule(core_.status().fault.load());
+    spdlog::error("FAULT {}: {}", to_string(rule.cause), rule.advice);
+  } else {
+    spdlog::info("station is {}", to_string(state));
+  }
+}
+
+void Daemon::reopen_bus_if_gone() {
+  if (core_.health().link != LinkState::Gone) return;
+  if (bus_.reopen()) spdlog::info("interface {} is back", station_.configuration.can.interface);
+}
+
+control::StationStatus Daemon::status() {
+  const std::lock_guard lock(mutex_);
+  const rt::StatusBoard& board = core_.status();
+  const rt::HistogramSnapshot lateness = loop_.statistics().lateness.snapshot();
+  const PortHealth health = core_.health();
+  control::StationStatus status;
+  status.station = station_.configuration.name;
+  status.version = std::string(kVersion);
+  status.state = std::string(to_string(board.state.load()));
+  const FaultCause fault = board.fault.load();
+  status.fault = std::string(to_string(fault));
+  if (fault != FaultCause::None) status.fault_text = std::string(rt::fault_rule(fault).advice);
+  status.clearable = board.clearable.load();
+  status.phase = std::string(to_string(board.phase.load()));
+  status.repeat = board.repeat.load();
+  status.repeats = conductor_.progress().repeats;
+  status.serial = conductor_.serial();
+  if (last_record_) status.last_verdict = std::string(to_string(last_record_->verdict));
+  status.ticks = board.ticks.load();
+  status.skipped = board.skipped.load();
+  status.lateness_avg_us = lateness.avg_us;
+  status.lateness_max_us = lateness.max_us;
+  status.force_N = board.force_N.load();
+  status.velocity_rad_s = board.velocity_rad_s.load();
+  status.torque_Nm = board.torque_Nm.load();
+  status.interface = station_.configuration.can.interface;
+  status.link = std::string(to_string(health.link));
+  if (status.ticks > 0)
+    status.bus_load = static_cast<double>(health.bus_bits) / (static_cast<double>(station_.configuration.can.bitrate) *
+                                                              static_cast<double>(status.ticks) * kPeriod_s);
+  status.simulated = station_.configuration.simulated_brake;
+  status.realtime = station_.configuration.realtime.priority > 0;
+  return status;
+}
+
+Result<std::uint64_t> Daemon::start(const CheckRequest& request) {
+  const std::lock_guard lock(mutex_);
+  if (const Result<void> begun = conductor_.begin(request, instant_now()); !begun) return tl::unexpected(begun.error());
+  last_record_.reset();
+  spdlog::info("check of {} begins", request.serial);
+  return ++check_number_;
+}
+
+control::CheckProgress Daemon::progress(bool colour) {
+  const std::lock_guard lock(mutex_);
+  control::CheckProgress progress;
+  progress.check = check_number_;
+  progress.finished = last_record_.has_value();
+  progress.phase = std::string(to_string(core_.status().phase.load()));
+  progress.repeat = core_.status().repeat.load();
+  progress.repeats = conductor_.progress().repeats;
+  if (last_record_) {
+    progress.record = check_json(*last_record_);
+    progress.table = format_check(*last_record_, colour);
+  }
+  return progress;
+}
+
+Result<void> Daemon::stop() {
+  spdlog::warn("operator stop");
+  core_.requests().stop.store(true, std::memory_order_release);
+  return {};
+}
+
+Result<void> Daemon::clear() {
+  const rt::StatusBoard& board = core_.status();
+  if (board.state.load() != StationState::Fault) return {};
+  const rt::FaultRule& rule = rt::fault_rule(board.fault.load());
+  if (!board.clearable.load())
+    return failure(fmt::format("the fault cannot be cleared yet, its cause is still there ({}): {}",
+                               to_string(rule.cause), rule.advice));
+  core_.requests().clear.store(true, std::memory_order_release);
+  for (int waited_ms = 0; waited_ms < 100; ++waited_ms) {
+    if (board.state.load() != StationState::Fault) {
+      spdlog::info("operator cleared {}", to_string(rule.cause));
+      return {};
+    }
+    std::this_thread::sleep_for(1ms);
+  }
+  return failure(fmt::format("the fault came back at once ({}): {}", to_string(board.fault.load()),
+                             rt::fault_rule(board.fault.load()).advice));
+}
+
+Result<nlohmann::ordered_json> Daemon::results(const std::string& serial, const std::string& verdict,
+                                               std::uint32_t limit) {
+  CheckFilter filter;
+  filter.serial = serial;
+  filter.limit = limit;
+  if (!verdict.empty()) {
+    filter.verdict = parse_verdict(verdict);
+    if (!filter.verdict) return failure(fmt::format("no verdict '{}'; there are PASS, FAIL, ERROR, TIMEOUT, ABORTED", verdict));
+  }
+  const std::lock_guard lock(mutex_);
+  return store_.list(filter).map([](const std::vector<CheckSummary>& checks) { return summaries_json(checks); });
+}
+
+Result<nlohmann::ordered_json> Daemon::result(const std::string& id) {
+  const std::lock_guard lock(mutex_);
+  return store_.load(id).map([](const CheckRecord& record) { return check_json(record); });
+}
+
+}  // namespace clampd::daemon

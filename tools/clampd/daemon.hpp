@@ -1,0 +1,61 @@
+#pragma once
+
+#include <atomic>
+#include <mutex>
+#include <optional>
+
+#include "clampd/archive/store.hpp"
+#include "clampd/base/result.hpp"
+#include "drivers/can/can_brake.hpp"
+#include "drivers/can/socketcan.hpp"
+#include "rt/control_core.hpp"
+#include "rt/cyclic_thread.hpp"
+#include "tools/assembly/check_conductor.hpp"
+#include "tools/assembly/prepared_station.hpp"
+#include "tools/clampd/control_server.hpp"
+
+namespace clampd::daemon {
+
+/// The station at work: the real-time loop on SocketCAN, the conductor that empties its ring, and what the control API
+/// asks for. Everything here runs outside of the real-time thread.
+class Daemon final : public ControlTarget {
+ public:
+  /// `station`, `bus` and `store` must outlive this.
+  Daemon(const assembly::PreparedStation& station, can::SocketCanBus& bus, CheckStore& store);
+
+  /// Starts the loop thread. Errors: no right to real time, with what to change.
+  Result<void> start();
+
+  /// Serves until `quit` is set: records finished checks, reopens a vanished interface. A check under way is then stopped,
+  /// and its record saved, before this returns.
+  void serve(const std::atomic<bool>& quit);
+
+  control::StationStatus status() override;
+  Result<std::uint64_t> start(const CheckRequest& request) override;
+  control::CheckProgress progress(bool colour) override;
+  Result<void> stop() override;
+  Result<void> clear() override;
+  Result<nlohmann::ordered_json> results(const std::string& serial, const std::string& verdict,
+                                         std::uint32_t limit) override;
+  Result<nlohmann::ordered_json> result(const std::string& id) override;
+
+ private:
+  void pump();
+  void report_state_changes();
+  void reopen_bus_if_gone();
+
+  const assembly::PreparedStation& station_;
+  can::SocketCanBus& bus_;
+  CheckStore& store_;
+  can::CanBrake port_;
+  rt::ControlCore core_;
+  rt::CyclicThread loop_;
+
+  std::mutex mutex_;  ///< guards all below, and store_
+  assembly::CheckConductor conductor_;
+  std::uint64_t check_number_ = 0;
+  std::optional<CheckRecord> last_record_;
+  StationState reported_state_ = StationState::Init;
+};
+
+}  // namespace clampd::daemon

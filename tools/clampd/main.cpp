@@ -1,0 +1,75 @@
+#include <atomic>
+#include <csignal>
+
+#include <CLI/CLI.hpp>
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include "clampd/base/version.hpp"
+#include "tools/clampd/daemon.hpp"
+#include "tools/cli/exit_code.hpp"
+
+namespace {
+
+std::atomic<bool> quit{false};
+
+void quit_on_signals() {
+  struct sigaction action {};
+  action.sa_handler = [](int) { quit = true; };
+  sigaction(SIGTERM, &action, nullptr);
+  sigaction(SIGINT, &action, nullptr);
+  std::signal(SIGPIPE, SIG_IGN);
+}
+
+int refuse(const clampd::Error& error) {
+  spdlog::critical("{}", error.message);
+  return clampd::cli::kBadInput;
+}
+
+int run(const std::string& file) {
+  using namespace clampd;
+  const Result<StationConfiguration> configuration = assembly::load_configuration(file);
+  if (!configuration) return refuse(configuration.error());
+  if (configuration->embedded())
+    return refuse({"no CAN interface is configured: set [can] interface in " +
+                   (configuration->file.empty() ? std::string("/etc/clampd/station.toml") : configuration->file) +
+                   ". For a simulated brake without CAN, `clampctl run` needs no daemon"});
+  const Result<assembly::PreparedStation> station = assembly::prepare_station(*configuration);
+  if (!station) return refuse(station.error());
+  Result<CheckStore> store = CheckStore::open(configuration->database);
+  if (!store) return refuse(store.error());
+  Result<std::unique_ptr<can::SocketCanBus>> bus =
+      can::SocketCanBus::open(configuration->can.interface, station->codec.feedback_ids());
+  if (!bus) return refuse(bus.error());
+
+  quit_on_signals();
+  daemon::Daemon daemon(*station, **bus, *store);
+  if (const Result<void> started = daemon.start(); !started) return refuse(started.error());
+  const auto server = daemon::ControlServer::start(daemon, configuration->control.address, configuration->control.port,
+                                                   configuration->control.token_file);
+  if (!server) return refuse(server.error());
+  spdlog::info("clampd {} on {}, control API on {}:{}", kVersion, configuration->can.interface,
+               configuration->control.address, (*server)->port());
+  daemon.serve(quit);
+  spdlog::info("clampd ends; the drive is off");
+  return cli::kSuccess;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"clampd, the station's daemon: drives the brake over CAN and judges it. Talk to it with clampctl."};
+  app.set_version_flag("--version", std::string(clampd::kVersion));
+  std::string configuration;
+  app.add_option("--config", configuration, "station configuration (default: /etc/clampd/station.toml)")->type_name("FILE");
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& request) {
+    return app.exit(request);
+  } catch (const CLI::ParseError& mistake) {
+    app.exit(mistake);
+    return clampd::cli::kBadInput;
+  }
+  spdlog::set_default_logger(spdlog::stderr_color_mt("clampd"));
+  return run(configuration);
+}
