@@ -35,7 +35,7 @@ struct SupervisorSettings {
 
   double force_limit_N = 33e3;
   double speed_limit_rad_s = 350.0;
-  double torque_limit_Nm = 4.0;     ///< measured; commands are limited to it too
+  double torque_limit_Nm = 3.1;     ///< measured; commands are limited to it too
   double travel_limit_rad = 120.0;  ///< from where the check started
   /// Over-force is no fault while the drive opens or rests: otherwise a clamped brake could never be opened
   /// again.
