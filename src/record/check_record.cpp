@@ -18,6 +18,12 @@ std::string_view to_string(Verdict verdict) noexcept {
   return "?";
 }
 
+std::optional<Verdict> parse_verdict(std::string_view text) noexcept {
+  for (const Verdict verdict : {Verdict::Pass, Verdict::Fail, Verdict::Error, Verdict::Timeout, Verdict::Aborted})
+    if (text == to_string(verdict)) return verdict;
+  return std::nullopt;
+}
+
 std::string_view to_string(ParameterVerdict verdict) noexcept {
   switch (verdict) {
     case ParameterVerdict::Pass:

@@ -7,9 +7,9 @@
 
 #include <fmt/format.h>
 
-#include "clampd/archive/checksum.hpp"
 #include "clampd/base/clock.hpp"
 #include "clampd/experiment/reference.hpp"
+#include "clampd/record/checksum.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
 #include "tools/assembly/builtin.hpp"

@@ -92,11 +92,7 @@ int run_embedded(const RunOptions& options, StationConfiguration configuration) 
   return exit_code(record->verdict);
 }
 
-int exit_code_of(const std::string& verdict) {
-  for (const Verdict candidate : {Verdict::Pass, Verdict::Fail, Verdict::Timeout, Verdict::Aborted})
-    if (verdict == to_string(candidate)) return exit_code(candidate);
-  return exit_code(Verdict::Error);
-}
+int exit_code_of(const std::string& verdict) { return exit_code(parse_verdict(verdict).value_or(Verdict::Error)); }
 
 /// What a daemon that went away in the middle of a check leaves us with: a result that says so.
 int daemon_lost(const RunOptions& options, const std::string& why) {

@@ -23,12 +23,6 @@ assembly::Instant instant_now() {
   return {monotonic_now_ns(), std::chrono::duration_cast<std::chrono::nanoseconds>(utc).count()};
 }
 
-std::optional<Verdict> parse_verdict(const std::string& text) {
-  for (const Verdict verdict : {Verdict::Pass, Verdict::Fail, Verdict::Error, Verdict::Timeout, Verdict::Aborted})
-    if (text == to_string(verdict)) return verdict;
-  return std::nullopt;
-}
-
 }  // namespace
 
 Daemon::Daemon(const assembly::PreparedStation& station, can::SocketCanBus& bus, CheckStore& store)

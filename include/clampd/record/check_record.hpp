@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "clampd/record/run.hpp"
@@ -12,6 +13,7 @@ namespace clampd {
 
 enum class Verdict : std::uint8_t { Pass, Fail, Error, Timeout, Aborted };
 std::string_view to_string(Verdict verdict) noexcept;  ///< "PASS", "FAIL", "ERROR", "TIMEOUT", "ABORTED"
+std::optional<Verdict> parse_verdict(std::string_view text) noexcept;  ///< the same back; nothing if it is none of them
 
 enum class ParameterVerdict : std::uint8_t { Pass, Marginal, Fail };
 std::string_view to_string(ParameterVerdict verdict) noexcept;  ///< "pass", "marginal", "fail"
