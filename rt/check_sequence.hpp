@@ -6,30 +6,24 @@
 #include "clampd/record/brake_port.hpp"
 #include "clampd/record/reference.hpp"
 #include "clampd/record/sample.hpp"
+#include "rt/force_controller.hpp"
+#include "rt/motion_observer.hpp"
+#include "rt/stiffness_estimate.hpp"
 
 namespace clampd::rt {
-
-/// What the sequence needs to know of the product's nominal brake, as plain numbers: this room knows no brake model.
-struct NominalDrive {
-  double inertia_kg_m2 = 2.91e-4;
-  double ratio_m_rad = 2.63e-5;
-  double coulomb_Nm = 7.67e-2;
-  double static_Nm = 4.68e-2;
-  double viscous_Nm_s_rad = 4.46e-4;
-  double load_friction_Nm_N = 3.55e-5;
-};
 
 /// One check, planned before it starts and read-only for the loop while it runs.
 struct CheckPlan {
   Reference reference;
   NominalDrive drive;
   std::uint16_t repeats = 20;
-  double tare_s = 0.2;                   ///< rest in the clearance for the offsets
+  double tare_s = 0.2;  ///< rest in the clearance for the offsets
   double approach_velocity_rad_s = 20.0;
-  double contact_force_N = 300.0;        ///< contact is found when the tared force passes this
-  double clearance_rad = 6.0;            ///< how far to open from contact at the end, and for the tare
-  double settle_s = 0.05;                ///< rest at the contact point before each run
-  double phase_timeout_s = 5.0;          ///< any phase but the trajectory: then SequenceTimeout
+  double contact_force_N = 300.0;  ///< contact is found when the tared force passes this; the pads are then
+                                   ///< closed to five times as much, to learn where exactly they touch
+  double clearance_rad = 6.0;      ///< how far to open from contact at the end, and for the tare
+  double settle_s = 0.05;          ///< rest at the contact point before each run
+  double phase_timeout_s = 5.0;    ///< any phase but the trajectory: then SequenceTimeout
   double torque_limit_Nm = 3.0;
 };
 
@@ -43,15 +37,73 @@ struct SequenceOutput {
   FaultCause fault = FaultCause::None;
 };
 
-/// The whole check as a state machine over samples: open, tare, approach to contact, n times (settle, trajectory,
-/// return), release. Pure: time is the brake's sample clock, no I/O, so that the bench and the tests run the same code.
+/// The whole check as a state machine over samples: open, tare, approach to contact, n times (settle,
+/// trajectory, return), release. Pure: time is the brake's sample clock, no I/O, so that the bench and the
+/// tests run the same code.
+///
+/// Everything counts in samples of the brake, never in ticks: a sample that comes twice is answered twice
+/// alike, a gap moves the trajectory on by as many rows. A sample index that runs backwards is
+/// FeedbackFrozen.
+///
+/// A brake that is found clamped, or not open for sure, is opened first; that phase reports Return.
 class CheckSequence {
  public:
-  /// `plan` must stay alive and unchanged until done() or abandon().
+  /// `plan` must stay alive and unchanged until done() or abandon(); its reference must not be empty.
   CLAMPD_REALTIME void start(const CheckPlan* plan) noexcept;
   CLAMPD_REALTIME SequenceOutput step(const BrakeFeedback& feedback) noexcept;
   CLAMPD_REALTIME void abandon() noexcept;
-  CLAMPD_REALTIME bool done() const noexcept;
+  CLAMPD_REALTIME bool done() const noexcept { return done_; }
+
+ private:
+  enum class Stage : std::uint8_t { Open, Rest, Tare, Approach, Return, Settle, Trajectory, Release, Done };
+
+  CLAMPD_REALTIME double decide(const BrakeFeedback& feedback) noexcept;
+  CLAMPD_REALTIME double open() noexcept;
+  CLAMPD_REALTIME double rest() noexcept;
+  CLAMPD_REALTIME double tare(const BrakeFeedback& feedback) noexcept;
+  CLAMPD_REALTIME double approach() noexcept;
+  CLAMPD_REALTIME double move_to_start() noexcept;
+  CLAMPD_REALTIME double settle() noexcept;
+  CLAMPD_REALTIME double track() noexcept;
+  CLAMPD_REALTIME double release() noexcept;
+  CLAMPD_REALTIME void enter(Stage stage) noexcept;
+  CLAMPD_REALTIME CheckPhase phase() const noexcept;
+  CLAMPD_REALTIME std::int64_t samples_in_stage() const noexcept { return index_ - stage_start_; }
+  CLAMPD_REALTIME double start_position_rad() const noexcept;
+
+  const CheckPlan* plan_ = nullptr;
+  Stage stage_ = Stage::Done;
+  bool done_ = false;
+  bool started_ = false;  ///< a sample was seen since start()
+  std::int64_t index_ = 0;
+  std::int64_t stage_start_ = 0;
+  std::int64_t trajectory_start_ = 0;
+  std::uint16_t repeat_ = 0;
+  SequenceOutput last_;
+
+  double force_N_ = 0.0;  ///< tared reading
+  double force_offset_N_ = 0.0;
+  double velocity_offset_rad_s_ = 0.0;
+  double smooth_force_N_ = 0.0;
+
+  /// Mean force over the last stretches of opening.
+  struct Stretch {
+    double begin_rad = 0.0;
+    double sum_N = 0.0;
+    int samples = 0;
+    double before_N = 0.0;  ///< mean of the stretch before
+    bool has_before = false;
+    int flat = 0;  ///< stretches without a drop, in a row
+  } stretch_;
+  int still_samples_ = 0;
+
+  double sum_force_N_ = 0.0;
+  double sum_velocity_rad_s_ = 0.0;
+  int tare_samples_ = 0;
+
+  bool contact_known_ = false;
+  MotionObserver observer_;
+  StiffnessEstimate stiffness_;
 };
 
 }  // namespace clampd::rt

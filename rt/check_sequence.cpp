@@ -1,0 +1,271 @@
+#include "rt/check_sequence.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "clampd/base/assert.hpp"
+#include "clampd/base/clock.hpp"
+
+namespace clampd::rt {
+namespace {
+
+constexpr double kOpeningSpeed_rad_s = 30.0;
+constexpr double kOpeningTorque_Nm = 1.0;  // enough to break a clamped brake loose, gentle to an end stop
+constexpr double kStretch_rad = 0.7;       // of opening over which the force is averaged
+constexpr double kStretchDrop_N = 60.0;    // the force still falls: pads in contact
+constexpr double kOpenMargin_rad = 1.5;    // on from where the force no longer falls
+constexpr int kStallSamples = 50;          // still, though driven: at the end stop
+constexpr double kStallSpeed_rad_s = 1.0;
+constexpr int kRestSamples = 10;
+constexpr double kRestSpeed_rad_s = 1.0;
+constexpr double kLearnFactor = 5.0;  // times contact_force_N: how far the approach goes on
+constexpr double kMoveSpeed_rad_s = 220.0;
+constexpr double kArrived_rad = 0.03;
+constexpr double kDisplaced_rad = 0.3;  // while settling: go back
+constexpr int kMaximumGap = 50;         // samples over which a prediction makes sense
+
+}  // namespace
+
+void CheckSequence::start(const CheckPlan* plan) noexcept {
+  CLAMPD_ASSERT(plan != nullptr && !plan->reference.rows.empty());
+  *this = CheckSequence();
+  plan_ = plan;
+  stage_ = Stage::Open;
+}
+
+void CheckSequence::abandon() noexcept {
+  plan_ = nullptr;
+  stage_ = Stage::Done;
+  done_ = true;
+}
+
+void CheckSequence::enter(Stage stage) noexcept {
+  stage_ = stage;
+  stage_start_ = index_ + 1;
+  still_samples_ = 0;
+}
+
+CheckPhase CheckSequence::phase() const noexcept {
+  switch (stage_) {
+    case Stage::Open:
+    case Stage::Rest:
+    case Stage::Return:
+      return CheckPhase::Return;
+    case Stage::Tare:
+      return CheckPhase::Tare;
+    case Stage::Approach:
+      return CheckPhase::Approach;
+    case Stage::Settle:
+      return CheckPhase::Settle;
+    case Stage::Trajectory:
+      return CheckPhase::Trajectory;
+    case Stage::Release:
+      return CheckPhase::Release;
+    case Stage::Done:
+      return CheckPhase::Done;
+  }
+  return CheckPhase::None;
+}
+
+SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
+  SequenceOutput output;
+  if (plan_ == nullptr || done_) {
+    output.phase = CheckPhase::Done;
+    return output;
+  }
+  const bool finite = std::isfinite(feedback.force_N) && std::isfinite(feedback.velocity_rad_s) &&
+                      std::isfinite(feedback.torque_Nm) && std::isfinite(feedback.position_rad);
+  if (started_ && feedback.sample_index == index_) return last_;
+  if (!finite || (started_ && feedback.sample_index < index_)) {
+    last_.torque_Nm = 0.0;
+    last_.fault = finite ? FaultCause::FeedbackFrozen : FaultCause::FeedbackImplausible;
+    return last_;
+  }
+
+  force_N_ = feedback.force_N - force_offset_N_;
+  const double velocity_rad_s = feedback.velocity_rad_s - velocity_offset_rad_s_;
+  if (!started_) {
+    started_ = true;
+    stage_start_ = feedback.sample_index;
+    stretch_.begin_rad = feedback.position_rad;
+    smooth_force_N_ = force_N_;
+    observer_.reset(feedback.position_rad);
+  } else {
+    // The observer stands at the sample after the last one; a gap is bridged with the torque that acted
+    // before it.
+    const std::int64_t gap = feedback.sample_index - index_ - 1;
+    if (gap > kMaximumGap)
+      observer_.reset(feedback.position_rad);
+    else if (gap > 0)
+      observer_.predict(plan_->drive, last_.torque_Nm, force_N_, static_cast<int>(gap));
+    smooth_force_N_ += 0.3 * (force_N_ - smooth_force_N_);
+  }
+  index_ = feedback.sample_index;
+  observer_.correct(feedback.position_rad, velocity_rad_s);
+  if (contact_known_) stiffness_.learn(feedback.position_rad, force_N_);
+  observer_.predict(plan_->drive, feedback.torque_Nm, std::max(0.0, force_N_), 1);
+
+  output.phase = phase();
+  output.repeat = repeat_;
+  if (stage_ == Stage::Trajectory) {
+    const std::int64_t row = index_ - trajectory_start_;
+    if (row < static_cast<std::int64_t>(plan_->reference.rows.size())) {
+      output.trajectory_index = static_cast<std::int32_t>(row);
+      output.force_reference_N = plan_->reference.rows[static_cast<std::size_t>(row)].force_N;
+    }
+  }
+  const bool bounded_in_time = stage_ != Stage::Trajectory && stage_ != Stage::Done;
+  if (bounded_in_time && static_cast<double>(samples_in_stage()) * kPeriod_s > plan_->phase_timeout_s) {
+    output.fault = FaultCause::SequenceTimeout;
+  } else {
+    const double torque_Nm = decide(feedback);
+    const double slope_N_rad =
+        contact_known_ ? stiffness_.slope_N_rad(observer_.position_rad() - stiffness_.contact_rad()) : 0.0;
+    const ControlLimits limits{.torque_Nm = plan_->torque_limit_Nm};
+    output.torque_Nm = limited_torque_Nm(torque_Nm, limits, plan_->drive, observer_, force_N_, slope_N_rad);
+  }
+  last_ = output;
+  return output;
+}
+
+double CheckSequence::decide(const BrakeFeedback& feedback) noexcept {
+  switch (stage_) {
+    case Stage::Open:
+      return open();
+    case Stage::Rest:
+      return rest();
+    case Stage::Tare:
+      return tare(feedback);
+    case Stage::Approach:
+      return approach();
+    case Stage::Return:
+      return move_to_start();
+    case Stage::Settle:
+      return settle();
+    case Stage::Trajectory:
+      return track();
+    case Stage::Release:
+      return release();
+    case Stage::Done:
+      done_ = true;
+      return 0.0;
+  }
+  return 0.0;
+}
+
+// Opens until the force no longer falls along the way. The tare is not known yet, so only differences count.
+double CheckSequence::open() noexcept {
+  const double force_N = std::max(0.0, smooth_force_N_);
+  still_samples_ = std::abs(observer_.velocity_rad_s()) < kStallSpeed_rad_s ? still_samples_ + 1 : 0;
+  stretch_.sum_N += force_N_;
+  ++stretch_.samples;
+  const double travelled_rad = stretch_.begin_rad - observer_.position_rad();
+  if (stretch_.flat < 2) {
+    if (travelled_rad >= kStretch_rad) {
+      const double mean_N = stretch_.sum_N / stretch_.samples;
+      const bool falls = stretch_.has_before && stretch_.before_N - mean_N > kStretchDrop_N;
+      stretch_.flat = stretch_.has_before && !falls ? stretch_.flat + 1 : 0;
+      stretch_.before_N = mean_N;
+      stretch_.has_before = true;
+      stretch_.sum_N = 0.0;
+      stretch_.samples = 0;
+      stretch_.begin_rad = observer_.position_rad();
+    }
+  } else if (travelled_rad >= kOpenMargin_rad) {
+    enter(Stage::Rest);
+  }
+  if (still_samples_ >= kStallSamples && force_N < plan_->contact_force_N * kLearnFactor) enter(Stage::Rest);
+  return std::clamp(velocity_torque_Nm(-kOpeningSpeed_rad_s, 0.0, plan_->drive, observer_, force_N),
+                    -kOpeningTorque_Nm, kOpeningTorque_Nm);
+}
+
+double CheckSequence::rest() noexcept {
+  still_samples_ = std::abs(observer_.velocity_rad_s()) < kRestSpeed_rad_s ? still_samples_ + 1 : 0;
+  if (still_samples_ >= kRestSamples) {
+    sum_force_N_ = sum_velocity_rad_s_ = 0.0;
+    tare_samples_ = 0;
+    enter(Stage::Tare);
+  }
+  if (still_samples_ > 0) return 0.0;
+  return velocity_torque_Nm(0.0, 0.0, plan_->drive, observer_, 0.0);
+}
+
+double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
+  sum_force_N_ += feedback.force_N;
+  sum_velocity_rad_s_ += feedback.velocity_rad_s;
+  ++tare_samples_;
+  if (static_cast<double>(samples_in_stage() + 1) * kPeriod_s < plan_->tare_s) return 0.0;
+  force_offset_N_ = sum_force_N_ / tare_samples_;
+  velocity_offset_rad_s_ = sum_velocity_rad_s_ / tare_samples_;
+  smooth_force_N_ = 0.0;
+  observer_.reset(feedback.position_rad);
+  enter(Stage::Approach);
+  return 0.0;
+}
+
+double CheckSequence::approach() noexcept {
+  if (!contact_known_ && smooth_force_N_ > plan_->contact_force_N) {
+    stiffness_.start(plan_->drive, observer_.position_rad(), smooth_force_N_);
+    contact_known_ = true;
+  }
+  if (contact_known_ && smooth_force_N_ > kLearnFactor * plan_->contact_force_N) {
+    enter(Stage::Return);
+    return move_to_start();
+  }
+  return velocity_torque_Nm(plan_->approach_velocity_rad_s, 0.0, plan_->drive, observer_,
+                            std::max(0.0, smooth_force_N_));
+}
+
+double CheckSequence::start_position_rad() const noexcept {
+  return stiffness_.contact_rad() + plan_->reference.rows.front().position_rad;
+}
+
+double CheckSequence::move_to_start() noexcept {
+  const bool arrived = std::abs(observer_.position_rad() - start_position_rad()) < kArrived_rad &&
+                       std::abs(observer_.velocity_rad_s()) < kRestSpeed_rad_s;
+  if (arrived) {
+    enter(Stage::Settle);
+    return 0.0;
+  }
+  return move_torque_Nm(start_position_rad(), kMoveSpeed_rad_s, plan_->drive, observer_,
+                        std::max(0.0, force_N_));
+}
+
+double CheckSequence::settle() noexcept {
+  // The brake holds itself here: any torque would only disturb the run's initial state.
+  if (std::abs(observer_.position_rad() - start_position_rad()) > kDisplaced_rad) {
+    enter(Stage::Return);
+    return move_to_start();
+  }
+  if (static_cast<double>(samples_in_stage() + 1) * kPeriod_s < plan_->settle_s) return 0.0;
+  enter(Stage::Trajectory);
+  trajectory_start_ = index_ + 1;
+  return track();
+}
+
+double CheckSequence::track() noexcept {
+  const auto& rows = plan_->reference.rows;
+  const auto next = static_cast<std::size_t>(index_ + 1 - trajectory_start_);  // the row this command acts in
+  if (next >= rows.size()) {
+    ++repeat_;
+    const bool again = repeat_ < plan_->repeats;
+    if (!again) --repeat_;
+    enter(again ? Stage::Return : Stage::Release);
+    return again ? move_to_start() : release();
+  }
+  return tracking_torque_Nm(rows[next], rows[std::min(next + 1, rows.size() - 1)], plan_->drive, observer_,
+                            stiffness_);
+}
+
+double CheckSequence::release() noexcept {
+  const double target_rad = stiffness_.contact_rad() - plan_->clearance_rad;
+  const bool arrived = std::abs(observer_.position_rad() - target_rad) < kArrived_rad &&
+                       std::abs(observer_.velocity_rad_s()) < kRestSpeed_rad_s;
+  if (arrived) {
+    enter(Stage::Done);
+    return 0.0;
+  }
+  return move_torque_Nm(target_rad, kMoveSpeed_rad_s, plan_->drive, observer_, std::max(0.0, force_N_));
+}
+
+}  // namespace clampd::rt

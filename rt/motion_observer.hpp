@@ -1,0 +1,35 @@
+#pragma once
+
+#include "clampd/base/realtime.hpp"
+#include "rt/nominal_drive.hpp"
+
+namespace clampd::rt {
+
+/// Where the motor will be when the next command begins to act.
+///
+/// A Kalman filter for encoder position, velocity and one unknown: by how much the dry friction exceeds the
+/// nominal one. It runs one sample ahead of the readings, which takes the sample of delay out of the control
+/// loop. Between samples it integrates the nominal drive with friction as a projection at velocity level, so
+/// that it knows rest from creeping; at rest it learns nothing about friction and cannot wind up.
+class MotionObserver {
+ public:
+  /// Starts over at a reading, at rest.
+  CLAMPD_REALTIME void reset(double position_rad) noexcept;
+  /// A reading of the sample that was predicted last.
+  CLAMPD_REALTIME void correct(double position_rad, double velocity_rad_s) noexcept;
+  /// From the sample just corrected to the one `periods` later: `torque_Nm` and `force_N` act meanwhile.
+  CLAMPD_REALTIME void predict(const NominalDrive& drive, double torque_Nm, double force_N,
+                               int periods) noexcept;
+
+  CLAMPD_REALTIME double position_rad() const noexcept { return state_[0]; }
+  CLAMPD_REALTIME double velocity_rad_s() const noexcept { return state_[1]; }
+  CLAMPD_REALTIME double friction_excess_Nm() const noexcept { return state_[2]; }
+
+ private:
+  CLAMPD_REALTIME void update(int component, double reading, double variance) noexcept;
+
+  double state_[3] = {0.0, 0.0, 0.0};
+  double covariance_[3][3] = {};
+};
+
+}  // namespace clampd::rt

@@ -1,0 +1,87 @@
+#include "rt/stiffness_estimate.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace clampd::rt {
+namespace {
+
+constexpr double kForceVariance_N2 = 75.0 * 75.0;
+constexpr double kModelError = 0.01;  // of the force: shapes that the cubic cannot take
+constexpr double kQuadraticStartVariance = 0.15 * 0.15;
+constexpr double kCubicStartVariance = 0.3 * 0.3;
+constexpr double kContactStartVariance_rad2 = 0.4 * 0.4;
+// Per sample: keeps the filter awake for what drifts (wear-in, hysteresis, relaxation).
+constexpr double kScaleStepVariance = 1e-3 * 1e-3;
+constexpr double kContactStepVariance_rad2 = 1e-3 * 1e-3;
+constexpr double kOutlier_sd = 8.0;
+
+}  // namespace
+
+void StiffnessEstimate::start(const NominalDrive& drive, double position_rad, double force_N) noexcept {
+  cubic_nominal_ = drive.cubic_N_rad3;
+  quadratic_nominal_ = drive.quadratic_N_rad2;
+  cubic_ = quadratic_ = 1.0;
+  contact_rad_ = position_rad - std::sqrt(std::max(0.0, force_N) / quadratic_nominal_);
+  for (auto& row : covariance_)
+    for (double& entry : row) entry = 0.0;
+  covariance_[0][0] = kQuadraticStartVariance;
+  covariance_[1][1] = kCubicStartVariance;
+  covariance_[2][2] = kContactStartVariance_rad2;
+}
+
+void StiffnessEstimate::learn(double position_rad, double force_N) noexcept {
+  const double u = position_rad - contact_rad_;
+  if (u < 0.5) return;  // hardly any force, hardly any information
+  const double slope[3] = {quadratic_nominal_ * u * u, cubic_nominal_ * u * u * u, -slope_N_rad(u)};
+  double product[3];
+  const double expected_N = this->force_N(u);
+  double total = kForceVariance_N2 + std::pow(kModelError * expected_N, 2);
+  for (int i = 0; i < 3; ++i) {
+    product[i] = 0.0;
+    for (int j = 0; j < 3; ++j) product[i] += covariance_[i][j] * slope[j];
+    total += slope[i] * product[i];
+  }
+  const double innovation_N = force_N - expected_N;
+  if (innovation_N * innovation_N > kOutlier_sd * kOutlier_sd * total) return;
+  const double step = innovation_N / total;
+  quadratic_ = std::clamp(quadratic_ + product[0] * step, 0.4, 1.8);
+  cubic_ = std::clamp(cubic_ + product[1] * step, 0.0, 2.5);
+  contact_rad_ += product[2] * step;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) covariance_[i][j] -= product[i] * product[j] / total;
+  covariance_[0][0] = std::min(covariance_[0][0] + kScaleStepVariance, kQuadraticStartVariance);
+  covariance_[1][1] = std::min(covariance_[1][1] + kScaleStepVariance, kCubicStartVariance);
+  covariance_[2][2] = std::min(covariance_[2][2] + kContactStepVariance_rad2, kContactStartVariance_rad2);
+}
+
+double StiffnessEstimate::force_N(double position_rad) const noexcept {
+  if (position_rad <= 0.0) return 0.0;
+  return (cubic_ * cubic_nominal_ * position_rad + quadratic_ * quadratic_nominal_) * position_rad *
+         position_rad;
+}
+
+double StiffnessEstimate::slope_N_rad(double position_rad) const noexcept {
+  if (position_rad <= 0.0) return 0.0;
+  return (3.0 * cubic_ * cubic_nominal_ * position_rad + 2.0 * quadratic_ * quadratic_nominal_) *
+         position_rad;
+}
+
+double StiffnessEstimate::position_for(double force_N, double nominal_position_rad) const noexcept {
+  if (nominal_position_rad <= 0.0 || force_N <= 0.0) return nominal_position_rad;
+  double highest = nominal_position_rad + kReach_rad;
+  // The slope of a cubic with k1 < 0 peaks at the inflection and is zero at twice that: stay where it is
+  // still steep.
+  const double cubic = cubic_ * cubic_nominal_;
+  if (cubic < 0.0) highest = std::min(highest, 1.6 * quadratic_ * quadratic_nominal_ / (-3.0 * cubic));
+  const double lowest = std::max(0.5 * nominal_position_rad, nominal_position_rad - kReach_rad);
+  highest = std::max(highest, lowest);
+  double u = std::clamp(nominal_position_rad / std::sqrt(quadratic_), lowest, highest);
+  for (int iteration = 0; iteration < 6; ++iteration) {
+    const double slope = std::max(slope_N_rad(u), 1.0);
+    u = std::clamp(u + (force_N - this->force_N(u)) / slope, lowest, highest);
+  }
+  return u;
+}
+
+}  // namespace clampd::rt

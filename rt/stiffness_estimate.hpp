@@ -1,0 +1,38 @@
+#pragma once
+
+#include "clampd/base/realtime.hpp"
+#include "rt/nominal_drive.hpp"
+
+namespace clampd::rt {
+
+/// The stiffness curve of the very brake on the bench, learned while it moves: F = s2 k2 u^2 + s1 k1 u^3 with
+/// u = encoder - contact, by an extended Kalman filter for (s2, s1, contact). It turns a force into the
+/// position where this brake has it, so that tracking a force becomes tracking an encoder position: precise,
+/// free of the load cell's noise, and bounded.
+class StiffnessEstimate {
+ public:
+  /// Contact was just found: `force_N` (tared, smoothed) at the encoder reading `position_rad`.
+  CLAMPD_REALTIME void start(const NominalDrive& drive, double position_rad, double force_N) noexcept;
+  /// A pair of readings of the same instant.
+  CLAMPD_REALTIME void learn(double position_rad, double force_N) noexcept;
+
+  CLAMPD_REALTIME double contact_rad() const noexcept { return contact_rad_; }
+  /// At a position from contact.
+  CLAMPD_REALTIME double force_N(double position_rad) const noexcept;
+  CLAMPD_REALTIME double slope_N_rad(double position_rad) const noexcept;
+  /// The position from contact that has this force, sought from where the nominal brake has it and at most
+  /// kReach_rad away from there: also a brake that cannot reach the force at all gets a sane position.
+  CLAMPD_REALTIME double position_for(double force_N, double nominal_position_rad) const noexcept;
+
+  static constexpr double kReach_rad = 6.0;
+
+ private:
+  double cubic_nominal_ = 0.0;
+  double quadratic_nominal_ = 1.0;
+  double cubic_ = 1.0;      ///< s1
+  double quadratic_ = 1.0;  ///< s2
+  double contact_rad_ = 0.0;
+  double covariance_[3][3] = {};  ///< of (s2, s1, contact)
+};
+
+}  // namespace clampd::rt

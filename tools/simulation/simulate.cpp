@@ -1,0 +1,87 @@
+#include "tools/simulation/simulate.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "clampd/base/clock.hpp"
+#include "rt/check_sequence.hpp"
+
+namespace clampd {
+namespace {
+
+void append(SimulatedRun& run, const BrakeFeedback& feedback, const sim::SimulatedBrake& brake) {
+  const sim::PlantConfiguration& plant = brake.configuration();
+  Run& readings = run.readings;
+  readings.time_s.push_back(static_cast<double>(readings.size()) * kPeriod_s);
+  readings.torque_Nm.push_back(feedback.torque_Nm);
+  readings.velocity_rad_s.push_back(feedback.velocity_rad_s - plant.sensors.velocity_offset_rad_s);
+  readings.force_N.push_back(feedback.force_N - plant.sensors.force_offset_N);
+  readings.position_rad.push_back(feedback.position_rad - plant.encoder_zero_rad);
+  run.truth.push_back(brake.truth());
+}
+
+}  // namespace
+
+rt::NominalDrive nominal_drive(const BrakeParameters& nominal) {
+  rt::NominalDrive drive;
+  drive.inertia_kg_m2 = nominal.fixed.inertia_kg_m2;
+  drive.ratio_m_rad = nominal.fixed.ratio_m_rad;
+  drive.cubic_N_rad3 = nominal.theta[k1];
+  drive.quadratic_N_rad2 = nominal.theta[k2];
+  drive.coulomb_Nm = nominal.theta[TC];
+  drive.static_Nm = nominal.theta[Ts0];
+  drive.viscous_Nm_s_rad = nominal.theta[Tv];
+  drive.load_friction_Nm_N = nominal.theta[mus];
+  drive.stribeck_rad_s = nominal.theta[ws];
+  return drive;
+}
+
+SimulatedCheck simulate_check(const sim::PlantConfiguration& plant, const Reference& reference,
+                              const BrakeParameters& nominal, const SimulationOptions& options) {
+  rt::CheckPlan plan;
+  plan.reference = reference;
+  plan.drive = nominal_drive(nominal);
+  plan.repeats = options.repeats;
+  rt::CheckSequence sequence;
+  sequence.start(&plan);
+  sim::SimulatedBrake brake(plant);
+
+  SimulatedCheck check;
+  SimulatedRun run;
+  const auto limit = static_cast<std::int64_t>(options.timeout_s / kPeriod_s);
+  for (std::int64_t k = 0; !sequence.done(); ++k) {
+    const BrakeFeedback feedback = brake.sample();
+    const rt::SequenceOutput output = sequence.step(feedback);
+    brake.command({output.torque_Nm, true});
+    check.duration_s = static_cast<double>(k + 1) * kPeriod_s;
+    check.phase = output.phase;
+    check.force_max_N = std::max(check.force_max_N, brake.truth().force_N);
+    check.speed_max_rad_s = std::max(check.speed_max_rad_s, std::abs(brake.truth().velocity_rad_s));
+    if (output.trajectory_index >= 0) append(run, feedback, brake);
+    if (run.readings.size() == reference.rows.size()) {
+      run.readings.name = fmt::format("repeat {}", output.repeat + 1);
+      check.runs.push_back(std::exchange(run, {}));
+      brake.begin_run(output.repeat + 1u);
+    }
+    check.fault = k < limit ? output.fault : FaultCause::SequenceTimeout;
+    if (check.fault != FaultCause::None) break;
+  }
+  return check;
+}
+
+Result<std::vector<Run>> simulate_manoeuvre(const sim::PlantConfiguration& plant, const Reference& reference,
+                                            const BrakeParameters& nominal, std::uint16_t repeats) {
+  SimulatedCheck check = simulate_check(plant, reference, nominal, {.repeats = repeats});
+  if (check.fault != FaultCause::None)
+    return failure(fmt::format(
+        "the simulated brake could not be driven through the manoeuvre: {} in phase {} after {:.1f} s",
+        to_string(check.fault), to_string(check.phase), check.duration_s));
+  std::vector<Run> runs;
+  for (SimulatedRun& run : check.runs) runs.push_back(std::move(run.readings));
+  return runs;
+}
+
+}  // namespace clampd
