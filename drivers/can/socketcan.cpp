@@ -138,7 +138,7 @@ void read_link_info(std::span<const std::uint8_t> link_info, InterfaceInfo& info
       info.kind.assign(payload.begin(), std::find(payload.begin(), payload.end(), std::uint8_t{0}));
     } else if (type == IFLA_INFO_DATA) {
       for_each_attribute(payload, [&](int data_type, std::span<const std::uint8_t> data) {
-        if (data_type == IFLA_CAN_BITTIMING) info.bitrate_bit_s = read_as<can_bittiming>(data).bitrate;
+        if (data_type == IFLA_CAN_BITTIMING) info.bitrate = read_as<can_bittiming>(data).bitrate;
         if (data_type == IFLA_CAN_RESTART_MS) info.restart_ms = read_as<std::uint32_t>(data);
         if (data_type == IFLA_CAN_STATE) info.controller_state = state_name(read_as<std::uint32_t>(data));
       });
@@ -199,10 +199,8 @@ Result<InterfaceInfo> inspect_interface(const std::string& name) {
   return info;
 }
 
-Result<void> check_kernel_has_can() {
-  const Descriptor socket{open_raw_socket()};
-  if (socket.get() < 0) return failure(no_can(errno));
-  return {};
+bool kernel_has_can() noexcept {
+  return Descriptor{open_raw_socket()}.get() >= 0;
 }
 
 void apply_error_frame(const can_frame& frame, BusHealth& health) noexcept {
@@ -242,8 +240,8 @@ Result<std::unique_ptr<SocketCanBus>> SocketCanBus::open(const std::string& inte
   return std::unique_ptr<SocketCanBus>{new SocketCanBus{interface, std::move(wanted_ids), *descriptor}};
 }
 
-Result<bool> SocketCanBus::reopen_if_gone() {
-  if (link() != LinkState::Gone) return false;
+Result<void> SocketCanBus::reopen() {
+  if (link() != LinkState::Gone) return {};
   const auto fresh = open_socket(interface_, wanted_ids_);
   if (!fresh) return failure(fresh.error().message);
   const Descriptor owner{*fresh};
@@ -254,7 +252,7 @@ Result<bool> SocketCanBus::reopen_if_gone() {
   // Not Gone any more as of now, so that a second call before the loop's next tick has nothing to do.
   link_.store(LinkState::Down, std::memory_order_relaxed);
   reopened_.store(true, std::memory_order_release);
-  return true;
+  return {};
 }
 
 void SocketCanBus::note_reopened() noexcept {

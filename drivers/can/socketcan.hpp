@@ -21,7 +21,7 @@ struct InterfaceInfo {
   std::string kind;                  ///< "can" (a controller), "vcan", "vxcan", ...; empty if unknown
   std::string driver;                ///< kernel driver of a controller; empty for virtual ones
   bool up = false;                   ///< administratively
-  std::uint32_t bitrate_bit_s = 0;   ///< 0 where there is no wire
+  std::uint32_t bitrate = 0;         ///< bit/s; 0 where there is no wire
   std::uint32_t restart_ms = 0;      ///< automatic restart after bus-off; 0: never
   std::string controller_state;      ///< "error-active", ..., "bus-off", "stopped"; empty for virtual ones
   std::uint32_t transmit_queue = 0;  ///< frames
@@ -30,8 +30,8 @@ struct InterfaceInfo {
 /// Asks the kernel (rtnetlink, sysfs). Errors: no such interface, not a CAN interface; both say what to do.
 Result<InterfaceInfo> inspect_interface(const std::string& name);
 
-/// Whether this kernel has raw CAN sockets; the error says what to do.
-Result<void> check_kernel_has_can();
+/// Whether this kernel gives raw CAN sockets.
+bool kernel_has_can() noexcept;
 
 /// Folds one of SocketCAN's error frames (CAN_ERR_FLAG set) into `health`.
 CLAMPD_REALTIME void apply_error_frame(const can_frame& frame, BusHealth& health) noexcept;
@@ -40,10 +40,10 @@ CLAMPD_REALTIME void apply_error_frame(const can_frame& frame, BusHealth& health
 /// count.
 ///
 /// The link follows what the kernel tells: Down while the interface is down, and Up again by itself; Gone
-/// when it vanished, until reopen_if_gone() finds it again; BusOff until the controller reports its restart
+/// when it vanished, until reopen() finds it again; BusOff until the controller reports its restart
 /// or another frame arrives.
 ///
-/// receive(), send() and health() belong to one thread, the loop's. link() and reopen_if_gone() may be called
+/// receive(), send() and health() belong to one thread, the loop's. link() and reopen() may be called
 /// from another.
 class SocketCanBus final : public FrameBus {
  public:
@@ -59,9 +59,9 @@ class SocketCanBus final : public FrameBus {
   CLAMPD_REALTIME LinkState link() const noexcept { return link_.load(std::memory_order_relaxed); }
 
   /// Not for the loop's thread. If the interface is Gone, opens it anew behind the same file descriptor,
-  /// which the loop goes on using. True if it did; false if there was nothing to do; an error while the
-  /// interface is still missing.
-  Result<bool> reopen_if_gone();
+  /// which the loop goes on using; an error while the interface is still missing. Does nothing to a socket
+  /// that is not Gone.
+  Result<void> reopen();
 
  private:
   SocketCanBus(std::string interface, std::vector<std::uint32_t> wanted_ids, int descriptor);

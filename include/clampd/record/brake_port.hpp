@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <string_view>
 
 #include "clampd/base/realtime.hpp"
 
@@ -37,6 +38,7 @@ enum class LinkState : std::uint8_t {
   Down,          ///< the interface exists and is administratively down
   Gone,          ///< the interface does not exist (unplugged, driver unbound)
 };
+std::string_view to_string(LinkState link) noexcept;  ///< "up", "error-passive", "bus-off", "down", "gone"
 
 /// Cumulative counts since the port was opened, and the link's present state.
 struct PortHealth {
