@@ -3,12 +3,13 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <filesystem>
 #include <optional>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <toml++/toml.h>
+
+#include "clampd/record/file.hpp"
 
 namespace clampd::sim {
 namespace {
@@ -191,16 +192,18 @@ Result<void> PlantConfiguration::validate() const {
 }
 
 Result<PlantConfiguration> read_plant_configuration(const std::string& path) {
-  std::error_code error;
-  if (!std::filesystem::is_regular_file(path, error))
-    return failure(
-        fmt::format("{}: no such file; name a plant configuration such as configs/plant.toml", path));
+  const Result<std::string> text = read_file(path);
+  if (!text) return tl::unexpected(text.error());
+  return parse_plant_configuration(*text, path);
+}
+
+Result<PlantConfiguration> parse_plant_configuration(std::string_view text, const std::string& path) {
   PlantConfiguration configuration;
-  const Result<BrakeParameters> brake = read_brake_parameters(path);
+  const Result<BrakeParameters> brake = parse_brake_parameters(text, path);
   if (!brake) return tl::unexpected(brake.error());
   configuration.brake = *brake;
   try {
-    const toml::table root = toml::parse_file(path);
+    const toml::table root = toml::parse(text, path);
     if (auto read = read_tables(path, root, configuration); !read) return tl::unexpected(read.error());
   } catch (const toml::parse_error& parse_error) {
     return failure(

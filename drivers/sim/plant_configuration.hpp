@@ -64,4 +64,7 @@ struct PlantConfiguration {
 /// default; an unknown table or key is an error that names file and line.
 Result<PlantConfiguration> read_plant_configuration(const std::string& path);
 
+/// The same from text; `path` stands for the file in messages.
+Result<PlantConfiguration> parse_plant_configuration(std::string_view text, const std::string& path);
+
 }  // namespace clampd::sim

@@ -79,9 +79,13 @@ std::optional<std::size_t> find_parameter(std::string_view name) {
 Result<BrakeParameters> read_brake_parameters(const std::string& path) {
   const auto text = read_file(path);
   if (!text) return tl::unexpected(text.error());
+  return parse_brake_parameters(*text, path);
+}
+
+Result<BrakeParameters> parse_brake_parameters(std::string_view text, const std::string& path) {
   toml::table document;
   try {
-    document = toml::parse(*text, path);
+    document = toml::parse(text, path);
   } catch (const toml::parse_error& error) {
     const auto where = error.source().begin;
     return failure(

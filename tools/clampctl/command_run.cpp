@@ -14,6 +14,7 @@
 #include "clampd/station/verdict.hpp"
 #include "drivers/can/socketcan.hpp"
 #include "drivers/sim/plant_configuration.hpp"
+#include "tools/assembly/builtin.hpp"
 #include "tools/assembly/embedded_station.hpp"
 #include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
@@ -63,22 +64,18 @@ int report_input_error(const Error& error) {
 
 int run_embedded(const RunOptions& options, StationConfiguration configuration) {
   configuration.simulated_brake = true;
-  sim::PlantConfiguration plant;
   const std::string& plant_file = options.simulated_brake.empty() ? configuration.plant_file : options.simulated_brake;
-  if (!plant_file.empty()) {
-    Result<sim::PlantConfiguration> read = sim::read_plant_configuration(plant_file);
-    if (!read) return report_input_error(read.error());
-    plant = std::move(*read);
-  } else {
-    plant = sim::default_plant();
-  }
+  const Result<sim::PlantConfiguration> plant =
+      plant_file.empty() ? sim::parse_plant_configuration(assembly::kBuiltinPlant, "built-in plant.toml")
+                         : sim::read_plant_configuration(plant_file);
+  if (!plant) return report_input_error(plant.error());
   Result<assembly::PreparedStation> prepared = assembly::prepare_station(configuration);
   if (!prepared) return report_input_error(prepared.error());
   Result<CheckStore> store = CheckStore::open(configuration.database);
   if (!store) return report_input_error(store.error());
 
   cli::ProgressLine line;
-  assembly::EmbeddedStation station(std::move(*prepared), plant);
+  assembly::EmbeddedStation station(std::move(*prepared), *plant);
   const Result<CheckRecord> record =
       station.run_check(options.request, &*store, [&line](CheckPhase phase, std::uint32_t repeat, std::uint32_t repeats) {
         show_progress(line, to_string(phase), repeat, repeats);

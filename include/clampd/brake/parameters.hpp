@@ -64,4 +64,7 @@ struct BrakeParameters {
 /// unknown keys inside of these are errors, as are values outside of the parameter table's bounds.
 Result<BrakeParameters> read_brake_parameters(const std::string& path);
 
+/// The same from text; `path` stands for the file in messages.
+Result<BrakeParameters> parse_brake_parameters(std::string_view text, const std::string& path);
+
 }  // namespace clampd
