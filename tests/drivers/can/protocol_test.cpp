@@ -8,17 +8,10 @@
 #include <vector>
 
 #include "clampd/base/clock.hpp"
+#include "drivers/can/brake_codec.hpp"
 
 namespace clampd::can {
 namespace {
-
-ProtocolCodec brake_codec() {
-  const auto codec = read_dbc(CLAMPD_SOURCE_DIR "/configs/brake.dbc").and_then([](const Database& database) {
-    return ProtocolCodec::build(database, {});
-  });
-  EXPECT_TRUE(codec) << codec.error().message;
-  return *codec;
-}
 
 /// Both ends and the frames between them, one sample after the other.
 class Protocol : public ::testing::Test {
