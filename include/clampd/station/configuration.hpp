@@ -1,7 +1,9 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -17,12 +19,18 @@ struct Instrument {
   std::string calibrated;  ///< date of the last calibration, YYYY-MM-DD
 };
 
+/// What a signal or frame of the DBC file can be to the station.
+inline constexpr std::array<std::string_view, 12> kMappingRoles{
+    "torque_command", "enable",  "force",    "velocity", "torque",  "position",
+    "sample_clock",   "enabled", "watchdog", "fault",    "counter", "crc"};
+
 struct CanSettings {
   std::string interface;  ///< e.g. "can0"; empty: the embedded simulated brake, in virtual time
   std::string dbc;        ///< path; empty: the DBC file that ships with the station
   std::uint32_t bitrate =
       1'000'000;  ///< bit/s, for the bus load; the interface itself is set up by the system
-  /// Frame and signal names of this brake's DBC file, by role; roles that are not named keep their default.
+  /// Names in this brake's DBC file by role, one of kMappingRoles; roles that are not named keep their
+  /// default.
   std::vector<std::pair<std::string, std::string>> mapping;
 };
 
@@ -32,17 +40,25 @@ struct RealtimeSettings {
   bool lock_memory = true;
 };
 
-/// When the loop gives up: each governs one cause of the supervisor's table.
+/// When the loop gives up: each governs one cause of the supervisor's table. "Tolerated" counts are within 10
+/// ms, unless said otherwise.
 struct SupervisorSettings {
-  double start_up_ms = 1000.0;  ///< first feedback must come within this
-  double stale_after_ms = 3.0;  ///< without a new sample
-  int corrupt_frames_max = 1;   ///< refused frames within 10 ms that are still tolerated
-  double over_force_N = 32'000.0;
-  double over_speed_rad_s = 330.0;
-  double over_torque_Nm = 3.3;
-  double over_travel_rad = 200.0;   ///< from where the check began
-  int missed_ticks_max = 3;         ///< periods skipped at once
-  int missed_ticks_total_max = 10;  ///< periods skipped in one check
+  double start_up_ms = 2000.0;     ///< first feedback must come within this
+  double stale_after_ms = 2.5;     ///< without a new sample
+  int corrupt_frames_max = 0;      ///< with a wrong CRC-8, tolerated
+  int frozen_frames_max = 1;       ///< with a repeated or jumping alive counter, tolerated
+  int implausible_frames_max = 0;  ///< with a value that no brake can have, tolerated
+  int send_failures_max = 1;       ///< in a row, tolerated
+  double over_force_N = 33'000.0;
+  double over_speed_rad_s = 350.0;
+  double over_torque_Nm = 3.1;
+  double over_travel_rad = 120.0;       ///< from where the check began
+  double plausible_force_N = 60'000.0;  ///< magnitude beyond which a reading is a defect
+  double plausible_velocity_rad_s = 1'000.0;
+  double plausible_torque_Nm = 20.0;
+  int missed_ticks_max = 2;        ///< periods skipped at once, tolerated
+  int missed_ticks_total_max = 5;  ///< periods skipped in one check, tolerated
+  bool drive_reports_live = true;  ///< false for a brake whose feedback has no drive-enabled signal
 };
 
 struct CheckSettings {
@@ -60,7 +76,7 @@ struct CheckSettings {
 
 /// What a run must satisfy to say anything about the brake; otherwise the check is an ERROR, never a FAIL.
 struct ValiditySettings {
-  std::uint64_t skipped_ticks_max = 10;
+  std::uint64_t skipped_ticks_max = 5;
   std::uint64_t lost_samples_max = 0;
   double tracking_rms_max_N = 1500.0;
   double torque_noise_Nm = 0.0142;  ///< sd per sample of the torque reading, which no fit can follow

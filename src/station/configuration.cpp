@@ -1,0 +1,211 @@
+#include "clampd/station/configuration.hpp"
+
+#include <unistd.h>
+
+#include <cstdlib>
+#include <filesystem>
+
+#include <fmt/format.h>
+
+#include "clampd/record/file.hpp"
+#include "src/station/table_reader.hpp"
+
+namespace clampd {
+namespace {
+
+constexpr double kSafeForce_N = 40'000.0;
+constexpr double kSafeSpeed_rad_s = 500.0;
+constexpr double kSafeTorque_Nm = 10.0;
+
+/// Calls `read(reader)` on a table if it is there, and refuses what is left over.
+template <class Read>
+void read_section(TableReader& document, std::string_view key, const std::string& file,
+                  std::optional<Error>& error, Read read) {
+  const toml::table* table = document.table(key);
+  if (table == nullptr || error) return;
+  TableReader reader(*table, std::string(key), file, error);
+  read(reader);
+  reader.finish();
+}
+
+void read_instruments(TableReader& document, const std::string& file, std::optional<Error>& error,
+                      std::vector<Instrument>& instruments) {
+  const toml::array* array = document.array_of_tables("instruments");
+  if (array == nullptr) return;
+  for (const toml::node& node : *array) {
+    TableReader reader(*node.as_table(), "instruments", file, error);
+    Instrument instrument;
+    reader.text("name", instrument.name);
+    reader.text("serial", instrument.serial);
+    reader.date("calibrated", instrument.calibrated);
+    reader.finish();
+    if (instrument.name.empty()) reader.refuse(node.source(), "an instrument needs a name");
+    instruments.push_back(std::move(instrument));
+  }
+}
+
+void read_can(TableReader& reader, const toml::table& table, const std::string& file,
+              const std::string& folder, std::optional<Error>& error, CanSettings& can) {
+  constexpr std::size_t kLongestInterface = 15;  // IFNAMSIZ - 1
+  reader.text("interface", can.interface, kLongestInterface);
+  if (can.interface.find_first_of("/ \t:") != std::string::npos)
+    reader.refuse(table.get("interface")->source(), "can.interface is not the name of a network interface");
+  reader.path("dbc", can.dbc, folder);
+  reader.integer("bitrate", can.bitrate, 10'000, 1'000'000);
+  const toml::table* mapping = reader.table("mapping");
+  if (mapping == nullptr) return;
+  TableReader roles(*mapping, "can.mapping", file, error);
+  for (const std::string_view role : kMappingRoles) {
+    std::string name;
+    roles.text(role, name);
+    if (roles.has(role)) can.mapping.emplace_back(std::string(role), std::move(name));
+  }
+  roles.finish();
+}
+
+}  // namespace
+
+std::string default_database() {
+  namespace fs = std::filesystem;
+  const auto variable = [](const char* name) -> std::string {
+    const char* value = std::getenv(name);
+    return value == nullptr ? "" : value;
+  };
+  fs::path folder;
+  if (const std::string state = variable("STATE_DIRECTORY"); !state.empty()) {
+    folder = state.substr(0, state.find(':'));  // systemd may list several
+  } else if (::geteuid() == 0) {
+    folder = "/var/lib/clampd";
+  } else if (const std::string xdg = variable("XDG_STATE_HOME"); !xdg.empty()) {
+    folder = fs::path(xdg) / "clampd";
+  } else if (const std::string home = variable("HOME"); !home.empty()) {
+    folder = fs::path(home) / ".local/state/clampd";
+  }
+  return (folder / "checks.sqlite").string();
+}
+
+Result<StationConfiguration> parse_station_configuration(const std::string& text, const std::string& path) {
+  const Result<toml::table> parsed = parse_toml(text, path);
+  if (!parsed) return tl::unexpected(parsed.error());
+
+  StationConfiguration configuration;
+  configuration.file = path;
+  configuration.database = default_database();
+  std::string folder = std::filesystem::path(path).parent_path().string();
+  if (folder.empty()) folder.push_back('.');
+  std::optional<Error> error;
+  std::optional<bool> simulated;
+  std::string model_file;
+  TableReader document(*parsed, "", path, error);
+
+  read_section(document, "station", path, error, [&](TableReader& reader) {
+    reader.text("name", configuration.name);
+    reader.text("fixture", configuration.fixture);
+    reader.text("part_number", configuration.part_number);
+    reader.text("batch", configuration.batch);
+    reader.text("operator", configuration.operator_name);
+    bool value = false;
+    reader.boolean("simulated_brake", value);
+    if (reader.has("simulated_brake")) simulated = value;
+  });
+  read_instruments(document, path, error, configuration.instruments);
+  read_section(document, "simulation", path, error,
+               [&](TableReader& reader) { reader.path("brake", configuration.plant_file, folder); });
+  if (const toml::table* can = document.table("can"); can != nullptr && !error) {
+    TableReader reader(*can, "can", path, error);
+    read_can(reader, *can, path, folder, error, configuration.can);
+    reader.finish();
+  }
+  read_section(document, "realtime", path, error, [&](TableReader& reader) {
+    reader.integer("priority", configuration.realtime.priority, 0,
+                   98);  // 99 belongs to the kernel's own threads
+    reader.integer("cpu", configuration.realtime.cpu, -1, 1023);
+    reader.boolean("lock_memory", configuration.realtime.lock_memory);
+  });
+  read_section(document, "supervisor", path, error, [&](TableReader& reader) {
+    SupervisorSettings& s = configuration.supervisor;
+    reader.number("start_up_ms", s.start_up_ms, 10.0, 60'000.0);
+    reader.number("stale_after_ms", s.stale_after_ms, 1.5,
+                  4.5);  // beyond, torque would outlive its cause by 5 ms
+    reader.integer("corrupt_frames_max", s.corrupt_frames_max, 0, 3);
+    reader.integer("frozen_frames_max", s.frozen_frames_max, 0, 3);
+    reader.integer("implausible_frames_max", s.implausible_frames_max, 0, 3);
+    reader.integer("send_failures_max", s.send_failures_max, 0, 3);
+    reader.number("over_force_N", s.over_force_N, 100.0, kSafeForce_N);
+    reader.number("over_speed_rad_s", s.over_speed_rad_s, 1.0, kSafeSpeed_rad_s);
+    reader.number("over_torque_Nm", s.over_torque_Nm, 0.1, kSafeTorque_Nm);
+    reader.number("over_travel_rad", s.over_travel_rad, 1.0, 10'000.0);
+    reader.number("plausible_force_N", s.plausible_force_N, 1'000.0, 1e6);
+    reader.number("plausible_velocity_rad_s", s.plausible_velocity_rad_s, 10.0, 1e4);
+    reader.number("plausible_torque_Nm", s.plausible_torque_Nm, 1.0, 1e3);
+    reader.integer("missed_ticks_max", s.missed_ticks_max, 0, 3);
+    reader.integer("missed_ticks_total_max", s.missed_ticks_total_max, 0, 100'000);
+    reader.boolean("drive_reports_live", s.drive_reports_live);
+  });
+  read_section(document, "check", path, error, [&](TableReader& reader) {
+    CheckSettings& c = configuration.check;
+    reader.integer("repeats", c.repeats, 1, 200);
+    reader.path("trajectory", c.trajectory, folder);
+    reader.number("tare_s", c.tare_s, 0.05, 10.0);
+    reader.number("approach_velocity_rad_s", c.approach_velocity_rad_s, 1.0, 100.0);
+    reader.number("contact_force_N", c.contact_force_N, 10.0, 5'000.0);
+    reader.number("clearance_rad", c.clearance_rad, 0.5, 100.0);
+    reader.number("settle_s", c.settle_s, 0.0, 10.0);
+    reader.number("phase_timeout_s", c.phase_timeout_s, 0.1, 60.0);
+    reader.number("torque_limit_Nm", c.torque_limit_Nm, 0.1, kSafeTorque_Nm);
+    reader.number("deadline_s", c.deadline_s, 1.0, 3'600.0);
+  });
+  read_section(document, "validity", path, error, [&](TableReader& reader) {
+    ValiditySettings& v = configuration.validity;
+    reader.integer("skipped_ticks_max", v.skipped_ticks_max, 0, 100'000);
+    reader.integer("lost_samples_max", v.lost_samples_max, 0, 100'000);
+    reader.number("tracking_rms_max_N", v.tracking_rms_max_N, 1.0, kSafeForce_N);
+    reader.number("torque_noise_Nm", v.torque_noise_Nm, 0.0, 1.0);
+    reader.number("misfit_max", v.misfit_max, 1.0, 1'000.0);
+  });
+  read_section(document, "model", path, error,
+               [&](TableReader& reader) { reader.path("brake", model_file, folder); });
+  read_section(document, "limits", path, error,
+               [&](TableReader& reader) { reader.path("file", configuration.limits_file, folder); });
+  read_section(document, "archive", path, error, [&](TableReader& reader) {
+    reader.path("database", configuration.database, folder);
+    if (configuration.database.empty()) configuration.database = default_database();
+  });
+  read_section(document, "control", path, error, [&](TableReader& reader) {
+    reader.text("address", configuration.control.address);
+    reader.integer("port", configuration.control.port, 1, 65'535);
+    reader.path("token_file", configuration.control.token_file, folder);
+  });
+  document.finish();
+  if (error) return tl::unexpected(*error);
+
+  const std::string& interface = configuration.can.interface;
+  const bool no_hardware = interface.empty() || interface.rfind("vcan", 0) == 0;
+  if (simulated == false && interface.empty())
+    return failure(
+        fmt::format("{}: station.simulated_brake is false, but without can.interface the brake is the "
+                    "embedded simulated one",
+                    path));
+  configuration.simulated_brake = simulated.value_or(no_hardware);
+  if (configuration.check.torque_limit_Nm >= configuration.supervisor.over_torque_Nm)
+    return failure(fmt::format("{}: check.torque_limit_Nm = {} must be below supervisor.over_torque_Nm = {}",
+                               path, configuration.check.torque_limit_Nm,
+                               configuration.supervisor.over_torque_Nm));
+  if (configuration.check.contact_force_N >= configuration.supervisor.over_force_N)
+    return failure(fmt::format("{}: check.contact_force_N = {} must be below supervisor.over_force_N = {}",
+                               path, configuration.check.contact_force_N,
+                               configuration.supervisor.over_force_N));
+  if (!model_file.empty()) {
+    const Result<BrakeParameters> model = read_brake_parameters(model_file);
+    if (!model) return tl::unexpected(model.error());
+    configuration.model = *model;
+  }
+  return configuration;
+}
+
+Result<StationConfiguration> read_station_configuration(const std::string& path) {
+  return read_file(path).and_then(
+      [&](const std::string& text) { return parse_station_configuration(text, path); });
+}
+
+}  // namespace clampd

@@ -1,0 +1,220 @@
+#include "clampd/station/session.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "clampd/base/assert.hpp"
+#include "clampd/base/clock.hpp"
+#include "clampd/record/utc.hpp"
+#include "clampd/station/verdict.hpp"
+
+namespace clampd {
+namespace {
+
+constexpr std::uint32_t kMostRepeats = 200;
+constexpr std::size_t kLongestText = 80;
+
+std::string or_configured(const std::string& asked, const std::string& configured) {
+  return asked.empty() ? configured : asked;
+}
+
+std::string json_text(const std::string& text) {
+  std::string quoted = "\"";
+  for (const char c : text) {
+    if (c == '"' || c == '\\') quoted += '\\';
+    quoted += c;
+  }
+  return quoted + '"';
+}
+
+/// The configuration admits no control characters, so that quotes and backslashes are all there is to escape.
+std::string instruments_json(const std::vector<Instrument>& instruments) {
+  std::string text = "[";
+  for (const Instrument& instrument : instruments) {
+    if (text.size() > 1) text += ',';
+    text += fmt::format(R"({{"name":{},"serial":{},"calibrated":{}}})", json_text(instrument.name),
+                        json_text(instrument.serial), json_text(instrument.calibrated));
+  }
+  return text + "]";
+}
+
+OutputErrorOptions estimator_options(const StationConfiguration& configuration) {
+  OutputErrorOptions options;
+  options.start = configuration.model;
+  return options;
+}
+
+struct ExpectedResidual {
+  double force_N = 0.0;
+  double velocity_rad_s = 0.0;
+};
+
+/// Residual rms that a true model leaves: sensor noise, and what white noise q of the torque reading (sd per
+/// sample of length ts) makes of a prediction over n samples. As a random walk v grows by q ts/J a sample,
+/// with the mean square (q ts/J)^2 n/2 over the run; x is its sum, with the mean square (q ts^2/J)^2 n^3/12;
+/// F follows x by the stiffness, for which 2 sqrt(k2 F) is an upper bound as long as k1 <= 0.
+ExpectedResidual expected_residual(const Tare& tare, const std::vector<RunRecord>& runs,
+                                   const BrakeParameters& model, double torque_noise_Nm) {
+  double samples = 0.0;
+  double force_max_N = 0.0;
+  for (const RunRecord& record : runs) {
+    samples = std::max(samples, static_cast<double>(record.run.size()));
+    force_max_N =
+        std::max(force_max_N, *std::max_element(record.run.force_N.begin(), record.run.force_N.end()));
+  }
+  const double step_rad_s = torque_noise_Nm * kPeriod_s / model.fixed.inertia_kg_m2;
+  const double stiffness_N_rad = 2.0 * std::sqrt(model.theta[k2] * std::max(force_max_N, 0.0));
+  const double drift_N =
+      stiffness_N_rad * step_rad_s * kPeriod_s * std::sqrt(samples * samples * samples / 12.0);
+  return {std::hypot(tare.force_sd_N, drift_N),
+          std::hypot(tare.velocity_sd_rad_s, step_rad_s * std::sqrt(samples / 2.0))};
+}
+
+/// 0 over 0 explains everything: a noiseless simulation that is fitted exactly.
+double ratio(double residual, double expected) {
+  return residual == 0.0 ? 0.0 : residual / expected;
+}
+
+}  // namespace
+
+Result<void> validate(const CheckRequest& request) {
+  const auto check = [](std::string_view what, const std::string& text) -> Result<void> {
+    if (text.size() > kLongestText)
+      return failure(fmt::format("{} is longer than {} characters", what, kLongestText));
+    for (const char c : text)
+      if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f)
+        return failure(fmt::format("{} contains control characters", what));
+    return {};
+  };
+  if (request.serial.find_first_not_of(' ') == std::string::npos)
+    return failure("the serial number is empty; every check belongs to a brake");
+  if (request.repeats > kMostRepeats)
+    return failure(fmt::format("{} repeats are too many; at most {}", request.repeats, kMostRepeats));
+  for (const auto& [what, text] :
+       {std::pair<std::string_view, const std::string&>{"the serial number", request.serial},
+        {"the operator", request.operator_name},
+        {"the part number", request.part_number},
+        {"the batch", request.batch}})
+    if (Result<void> checked = check(what, text); !checked) return checked;
+  return {};
+}
+
+ParameterVector reported_sd_normalised(const OutputErrorSummary& joint, const std::vector<RunRecord>& runs) {
+  ParameterVector sd = joint.covariance_normalised.diagonal().cwiseSqrt();
+  if (joint.covariance_normalised_over_runs.allFinite())
+    return sd.cwiseMax(joint.covariance_normalised_over_runs.diagonal().cwiseSqrt());
+
+  std::vector<ParameterVector> estimates;
+  const ParameterVector nominal = nominal_parameters();
+  for (const RunRecord& record : runs)
+    if (record.converged)
+      estimates.push_back(Eigen::Map<const ParameterVector>(record.estimate.data()).cwiseQuotient(nominal));
+  if (estimates.size() < 3) return sd;
+  const double n = static_cast<double>(estimates.size());
+  ParameterVector mean = ParameterVector::Zero();
+  for (const ParameterVector& estimate : estimates) mean += estimate / n;
+  ParameterVector squares = ParameterVector::Zero();
+  for (const ParameterVector& estimate : estimates) squares += (estimate - mean).cwiseAbs2();
+  return sd.cwiseMax((squares / (n * (n - 1.0))).cwiseSqrt());
+}
+
+CheckSession::CheckSession(const StationConfiguration& configuration, const LimitSet& limits,
+                           const CheckRequest& request, const CheckContext& context, Estimator estimator,
+                           WorkerMode mode)
+    : configuration_(configuration),
+      limits_(limits),
+      started_utc_ns_(context.started_utc_ns),
+      repeats_(request.repeats > 0 ? request.repeats : configuration.check.repeats),
+      collector_(context.trajectory_rows),
+      worker_(std::move(estimator), estimator_options(configuration), repeats_, mode) {
+  CLAMPD_ASSERT(validate(request).has_value());
+  record_.id = make_record_id(context.started_utc_ns);
+  record_.serial = request.serial;
+  record_.part_number = or_configured(request.part_number, configuration.part_number);
+  record_.batch = or_configured(request.batch, configuration.batch);
+  record_.station = configuration.name;
+  record_.fixture = configuration.fixture;
+  record_.operator_name = or_configured(request.operator_name, configuration.operator_name);
+  record_.software_version = context.software_version;
+  record_.limits_file = limits.file;
+  record_.limits_revision = limits.revision;
+  record_.limits_sha256 = limits.sha256;
+  record_.trajectory_sha256 = context.trajectory_sha256;
+  record_.instruments = instruments_json(configuration.instruments);
+  record_.simulated = configuration.simulated_brake;
+  record_.started = format_utc(context.started_utc_ns);
+  record_.repeats = repeats_;
+}
+
+void CheckSession::consume(const Sample& sample) {
+  std::optional<CollectedRun> run = collector_.consume(sample);
+  samples_.store(collector_.samples(), std::memory_order_relaxed);
+  if (run && recorded_.load(std::memory_order_relaxed) < repeats_ && worker_.submit(std::move(*run)))
+    recorded_.fetch_add(1, std::memory_order_relaxed);
+}
+
+CheckSession::Progress CheckSession::progress() const {
+  return {samples_.load(std::memory_order_relaxed), repeats_, recorded_.load(std::memory_order_relaxed),
+          worker_.identified()};
+}
+
+CheckRecord CheckSession::finish(CheckOutcome outcome) {
+  IdentificationWorker::Outcome identified = worker_.finish();
+  const OutputErrorSummary& joint = identified.joint;
+  CheckRecord record = std::move(record_);
+  record.runs = std::move(identified.runs);
+  record.stopped = format_utc(std::max(outcome.stopped_utc_ns, started_utc_ns_));
+  record.duration_s = collector_.duration_s();
+  record.fault = outcome.fault;
+  record.timing = std::move(outcome.timing);
+  // A sample that the port or the ring lost is also a gap in what arrived here: the larger count is the true
+  // one.
+  record.timing.lost_samples =
+      std::max({record.timing.lost_samples + outcome.health.lost_samples, collector_.samples_lost()});
+  record.flight_recorder = std::move(outcome.flight_recorder);
+  double squares = 0.0;
+  for (const RunRecord& run : record.runs) squares += run.tracking_rms_N * run.tracking_rms_N;
+  if (!record.runs.empty())
+    record.tracking_rms_N = std::sqrt(squares / static_cast<double>(record.runs.size()));
+
+  CheckFacts facts;
+  facts.fault = outcome.fault;
+  facts.fault_text = std::move(outcome.fault_text);
+  facts.deadline_passed = outcome.deadline_passed;
+  facts.problem = collector_.problem();
+  if (facts.problem.empty() && !record.runs.empty() && collector_.tare().samples == 0)
+    facts.problem = "the sensors were not tared";
+  facts.repeats_planned = repeats_;
+  facts.repeats_recorded = static_cast<std::uint32_t>(record.runs.size());
+  facts.ticks_skipped = record.timing.skipped;
+  facts.samples_lost = record.timing.lost_samples;
+  facts.tracking_rms_N = record.tracking_rms_N;
+  facts.estimate_text = joint.message;
+  facts.estimated = !record.runs.empty() && joint.converged();
+  if (facts.estimated) {
+    const ParameterVector nominal = nominal_parameters();
+    facts.estimate = joint.parameters.theta;
+    facts.sd = reported_sd_normalised(joint, record.runs).cwiseProduct(nominal.cwiseAbs());
+    const ExpectedResidual expected = expected_residual(collector_.tare(), record.runs, configuration_.model,
+                                                        configuration_.validity.torque_noise_Nm);
+    facts.misfit_force = ratio(joint.force_rms_N, expected.force_N);
+    facts.misfit_velocity = ratio(joint.velocity_rms_rad_s, expected.velocity_rad_s);
+    for (int row = 0; row < joint.covariance_normalised.rows(); ++row)
+      for (int column = 0; column < joint.covariance_normalised.cols(); ++column)
+        record.covariance_normalised.push_back(joint.covariance_normalised(row, column));
+    record.noise_force_N = joint.noise_force_N;
+    record.noise_velocity_rad_s = joint.noise_velocity_rad_s;
+  }
+
+  Judgement judgement = judge(facts, limits_, configuration_.validity);
+  record.verdict = judgement.verdict;
+  record.marginal = judgement.marginal;
+  record.reason = std::move(judgement.reason);
+  record.parameters = std::move(judgement.parameters);
+  return record;
+}
+
+}  // namespace clampd

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <cmath>
+#include <concepts>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <toml++/toml.h>
+
+#include "clampd/base/result.hpp"
+
+namespace clampd {
+
+/// Parses TOML text; `file` stands for it in messages.
+Result<toml::table> parse_toml(const std::string& text, const std::string& file);
+
+/// "file:line:column: message" for a place in a TOML document.
+std::string toml_message(const std::string& file, const toml::source_region& where, std::string_view message);
+
+/// Reads one table strictly: what is asked for is checked, and finish() refuses every key that nobody asked
+/// for. The first error is kept, and everything after it leaves its target alone.
+class TableReader {
+ public:
+  /// `section`: the table's name in messages, empty for the document itself. `error` outlives the reader.
+  TableReader(const toml::table& table, std::string section, const std::string& file,
+              std::optional<Error>& error)
+      : table_(table), section_(std::move(section)), file_(file), error_(error) {}
+
+  void number(std::string_view key, double& target, double least, double most);
+  void boolean(std::string_view key, bool& target);
+  void text(std::string_view key, std::string& target, std::size_t longest = 200);
+  /// A TOML date or a string YYYY-MM-DD.
+  void date(std::string_view key, std::string& target);
+  /// Relative paths count from `folder`.
+  void path(std::string_view key, std::string& target, const std::string& folder);
+
+  template <std::integral T>
+  void integer(std::string_view key, T& target, std::int64_t least, std::int64_t most) {
+    std::int64_t value = 0;
+    if (read_integer(key, value, least, most)) target = static_cast<T>(value);
+  }
+
+  /// Nothing if absent or an error.
+  const toml::table* table(std::string_view key);
+  const toml::array* array_of_tables(std::string_view key);
+  bool has(std::string_view key) const { return table_.contains(key); }
+
+  /// Refuses unknown keys, naming the nearest known one.
+  void finish();
+
+  /// Keeps the first error.
+  void refuse(const toml::source_region& where, std::string_view message);
+
+ private:
+  const toml::node* find(std::string_view key);
+  bool read_integer(std::string_view key, std::int64_t& value, std::int64_t least, std::int64_t most);
+  std::string name(std::string_view key) const;
+
+  const toml::table& table_;
+  std::string section_;
+  const std::string& file_;
+  std::optional<Error>& error_;
+  std::vector<std::string> known_;
+};
+
+/// True for YYYY-MM-DD with a month and a day that exist.
+bool is_date(std::string_view text);
+
+}  // namespace clampd

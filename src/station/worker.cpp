@@ -1,0 +1,107 @@
+#include "clampd/station/worker.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "clampd/base/assert.hpp"
+#include "clampd/record/checksum.hpp"
+
+namespace clampd {
+namespace {
+
+double median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// The runs' estimates are the best start there is: their median is not misled by a run that went astray.
+OutputErrorOptions joint_options(OutputErrorOptions options, const std::vector<RunRecord>& records) {
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    std::vector<double> values;
+    for (const RunRecord& record : records)
+      if (record.converged) values.push_back(record.estimate[i]);
+    if (!values.empty()) options.start.theta[static_cast<Eigen::Index>(i)] = median(std::move(values));
+  }
+  return options;
+}
+
+}  // namespace
+
+IdentificationWorker::IdentificationWorker(Estimator estimator, OutputErrorOptions options,
+                                           std::size_t capacity, WorkerMode mode)
+    : estimator_(std::move(estimator)), options_(std::move(options)), capacity_(capacity), mode_(mode) {
+  CLAMPD_ASSERT(estimator_ && capacity_ > 0);
+  if (mode_ == WorkerMode::Background) thread_ = std::thread([this] { work(); });
+}
+
+IdentificationWorker::~IdentificationWorker() {
+  {
+    const std::lock_guard lock(mutex_);
+    closed_ = true;
+    queue_.clear();
+  }
+  arrived_.notify_one();
+  if (thread_.joinable()) thread_.join();
+}
+
+RunRecord IdentificationWorker::identify(CollectedRun collected) const {
+  const OutputErrorSummary summary = estimator_(std::span<const Run>(&collected.run, 1), options_);
+  RunRecord record;
+  record.tracking_rms_N = collected.tracking_rms_N;
+  record.tracking_max_N = collected.tracking_max_N;
+  record.fit_force_rms_N = summary.force_rms_N;
+  record.fit_velocity_rms_rad_s = summary.velocity_rms_rad_s;
+  record.converged = summary.converged() && summary.parameters.theta.allFinite();
+  record.estimate.assign(summary.parameters.theta.begin(), summary.parameters.theta.end());
+  record.checksum_sha256 = sha256_hex(format_run(collected.run));
+  record.run = std::move(collected.run);
+  return record;
+}
+
+bool IdentificationWorker::submit(CollectedRun run) {
+  if (mode_ == WorkerMode::Synchronous) {
+    records_.push_back(identify(std::move(run)));
+    identified_.fetch_add(1, std::memory_order_relaxed);
+    return true;
+  }
+  {
+    const std::lock_guard lock(mutex_);
+    if (closed_ || queue_.size() >= capacity_) return false;
+    queue_.push_back(std::move(run));
+  }
+  arrived_.notify_one();
+  return true;
+}
+
+void IdentificationWorker::work() {
+  while (true) {
+    std::unique_lock lock(mutex_);
+    arrived_.wait(lock, [this] { return closed_ || !queue_.empty(); });
+    if (queue_.empty()) return;
+    CollectedRun run = std::move(queue_.front());
+    queue_.pop_front();
+    lock.unlock();
+    records_.push_back(identify(std::move(run)));
+    identified_.fetch_add(1, std::memory_order_relaxed);
+  }
+}
+
+IdentificationWorker::Outcome IdentificationWorker::finish() {
+  {
+    const std::lock_guard lock(mutex_);
+    closed_ = true;
+  }
+  arrived_.notify_one();
+  if (thread_.joinable()) thread_.join();
+  Outcome outcome;
+  outcome.runs = std::move(records_);
+  std::vector<Run> runs;
+  runs.reserve(outcome.runs.size());
+  for (const RunRecord& record : outcome.runs) runs.push_back(record.run);
+  if (!runs.empty()) outcome.joint = estimator_(runs, joint_options(options_, outcome.runs));
+  return outcome;
+}
+
+}  // namespace clampd

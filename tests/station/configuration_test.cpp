@@ -1,0 +1,207 @@
+#include "clampd/station/configuration.hpp"
+
+#include <cstdlib>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "support/temporary_directory.hpp"
+
+namespace clampd {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::Pair;
+using ::testing::StartsWith;
+
+Result<StationConfiguration> parse(const std::string& text) {
+  return parse_station_configuration(text, "/etc/clampd/station.toml");
+}
+
+TEST(StationConfiguration, AnEmptyFileIsTheDefault) {
+  const auto configuration = parse("");
+  ASSERT_TRUE(configuration) << configuration.error().message;
+  EXPECT_TRUE(configuration->embedded());
+  EXPECT_TRUE(configuration->simulated_brake);
+  EXPECT_EQ(configuration->check.repeats, 20u);
+  EXPECT_EQ(configuration->model.theta, nominal_parameters());
+  EXPECT_EQ(configuration->database, default_database());
+}
+
+TEST(StationConfiguration, TheShippedFileSaysTheDefaults) {
+  const auto shipped = read_station_configuration(CLAMPD_SOURCE_DIR "/configs/station.toml");
+  ASSERT_TRUE(shipped) << shipped.error().message;
+  const StationConfiguration defaults;
+  EXPECT_EQ(shipped->name, defaults.name);
+  EXPECT_EQ(shipped->simulated_brake, defaults.simulated_brake);
+  EXPECT_EQ(shipped->can.bitrate, defaults.can.bitrate);
+  EXPECT_EQ(shipped->realtime.priority, defaults.realtime.priority);
+  EXPECT_EQ(shipped->realtime.cpu, defaults.realtime.cpu);
+  EXPECT_EQ(shipped->realtime.lock_memory, defaults.realtime.lock_memory);
+  const SupervisorSettings& a = shipped->supervisor;
+  const SupervisorSettings& b = defaults.supervisor;
+  EXPECT_EQ(a.start_up_ms, b.start_up_ms);
+  EXPECT_EQ(a.stale_after_ms, b.stale_after_ms);
+  EXPECT_EQ(a.corrupt_frames_max, b.corrupt_frames_max);
+  EXPECT_EQ(a.frozen_frames_max, b.frozen_frames_max);
+  EXPECT_EQ(a.implausible_frames_max, b.implausible_frames_max);
+  EXPECT_EQ(a.send_failures_max, b.send_failures_max);
+  EXPECT_EQ(a.over_force_N, b.over_force_N);
+  EXPECT_EQ(a.over_speed_rad_s, b.over_speed_rad_s);
+  EXPECT_EQ(a.over_torque_Nm, b.over_torque_Nm);
+  EXPECT_EQ(a.over_travel_rad, b.over_travel_rad);
+  EXPECT_EQ(a.plausible_force_N, b.plausible_force_N);
+  EXPECT_EQ(a.plausible_velocity_rad_s, b.plausible_velocity_rad_s);
+  EXPECT_EQ(a.plausible_torque_Nm, b.plausible_torque_Nm);
+  EXPECT_EQ(a.missed_ticks_max, b.missed_ticks_max);
+  EXPECT_EQ(a.missed_ticks_total_max, b.missed_ticks_total_max);
+  EXPECT_EQ(a.drive_reports_live, b.drive_reports_live);
+  EXPECT_EQ(shipped->check.repeats, defaults.check.repeats);
+  EXPECT_EQ(shipped->check.tare_s, defaults.check.tare_s);
+  EXPECT_EQ(shipped->check.approach_velocity_rad_s, defaults.check.approach_velocity_rad_s);
+  EXPECT_EQ(shipped->check.contact_force_N, defaults.check.contact_force_N);
+  EXPECT_EQ(shipped->check.clearance_rad, defaults.check.clearance_rad);
+  EXPECT_EQ(shipped->check.settle_s, defaults.check.settle_s);
+  EXPECT_EQ(shipped->check.phase_timeout_s, defaults.check.phase_timeout_s);
+  EXPECT_EQ(shipped->check.torque_limit_Nm, defaults.check.torque_limit_Nm);
+  EXPECT_EQ(shipped->check.deadline_s, defaults.check.deadline_s);
+  EXPECT_EQ(shipped->validity.skipped_ticks_max, defaults.validity.skipped_ticks_max);
+  EXPECT_EQ(shipped->validity.lost_samples_max, defaults.validity.lost_samples_max);
+  EXPECT_EQ(shipped->validity.tracking_rms_max_N, defaults.validity.tracking_rms_max_N);
+  EXPECT_EQ(shipped->validity.torque_noise_Nm, defaults.validity.torque_noise_Nm);
+  EXPECT_EQ(shipped->validity.misfit_max, defaults.validity.misfit_max);
+  EXPECT_EQ(shipped->control.port, defaults.control.port);
+  EXPECT_EQ(shipped->control.address, defaults.control.address);
+  EXPECT_EQ(shipped->can.dbc, CLAMPD_SOURCE_DIR "/configs/brake.dbc");
+  EXPECT_EQ(shipped->check.trajectory, CLAMPD_SOURCE_DIR "/configs/trajectory.csv");
+  EXPECT_EQ(shipped->limits_file, CLAMPD_SOURCE_DIR "/configs/limits.toml");
+  EXPECT_EQ(shipped->plant_file, CLAMPD_SOURCE_DIR "/configs/plant.toml");
+}
+
+TEST(StationConfiguration, ReadsEveryKindOfKey) {
+  const auto configuration = parse(R"(
+[station]
+name = "line 3"
+operator = "Jo"
+[[instruments]]
+name = "load cell"
+serial = "LC-1"
+calibrated = 2026-05-04
+[[instruments]]
+name = "amplifier"
+calibrated = "2026-06-01"
+[can]
+interface = "can0"
+dbc = "other/brake.dbc"
+bitrate = 500000
+[can.mapping]
+force = "Caliper.ClampForce"
+position = ""
+[supervisor]
+over_force_N = 31000
+[check]
+repeats = 3
+trajectory = "/data/t.csv"
+[archive]
+database = "../results.sqlite"
+[control]
+port = 9000
+)");
+  ASSERT_TRUE(configuration) << configuration.error().message;
+  EXPECT_EQ(configuration->name, "line 3");
+  EXPECT_EQ(configuration->operator_name, "Jo");
+  ASSERT_EQ(configuration->instruments.size(), 2u);
+  EXPECT_EQ(configuration->instruments[0].calibrated, "2026-05-04");
+  EXPECT_EQ(configuration->instruments[1].calibrated, "2026-06-01");
+  EXPECT_FALSE(configuration->embedded());
+  EXPECT_FALSE(configuration->simulated_brake);
+  EXPECT_EQ(configuration->can.dbc, "/etc/clampd/other/brake.dbc");
+  EXPECT_THAT(configuration->can.mapping,
+              ElementsAre(Pair("force", "Caliper.ClampForce"), Pair("position", "")));
+  EXPECT_EQ(configuration->supervisor.over_force_N, 31000.0);
+  EXPECT_EQ(configuration->check.repeats, 3u);
+  EXPECT_EQ(configuration->check.trajectory, "/data/t.csv");
+  EXPECT_EQ(configuration->database, "/etc/results.sqlite");
+  EXPECT_EQ(configuration->control.port, 9000);
+}
+
+TEST(StationConfiguration, AVirtualBusMeansASimulatedBrakeUnlessTold) {
+  EXPECT_TRUE(parse("[can]\ninterface = \"vcan0\"")->simulated_brake);
+  EXPECT_FALSE(parse("[can]\ninterface = \"vcan0\"\n[station]\nsimulated_brake = false")->simulated_brake);
+  EXPECT_TRUE(parse("[can]\ninterface = \"can0\"\n[station]\nsimulated_brake = true")->simulated_brake);
+}
+
+TEST(StationConfiguration, ReadsTheModelFile) {
+  const support::TemporaryDirectory directory;
+  directory.write("softer.toml", "[parameters_normalised]\nk2 = 0.9\n");
+  const auto configuration =
+      read_station_configuration(directory.write("station.toml", "[model]\nbrake = \"softer.toml\"\n"));
+  ASSERT_TRUE(configuration) << configuration.error().message;
+  EXPECT_NEAR(configuration->model.theta[k2], 0.9 * kParameterTable[k2].nominal, 1e-12);
+  EXPECT_FALSE(parse("[model]\nbrake = \"missing.toml\"\n"));
+}
+
+struct Refused {
+  std::string label;
+  std::string text;
+  std::string place;
+  std::string says;
+};
+void PrintTo(const Refused& refused, std::ostream* out) {
+  *out << refused.label;
+}
+
+class StationConfigurationRefuses : public ::testing::TestWithParam<Refused> {};
+
+TEST_P(StationConfigurationRefuses, WithFileLineAndColumn) {
+  const auto configuration = parse(GetParam().text);
+  ASSERT_FALSE(configuration);
+  EXPECT_THAT(configuration.error().message, StartsWith("/etc/clampd/station.toml:" + GetParam().place));
+  EXPECT_THAT(configuration.error().message, HasSubstr(GetParam().says));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Inputs, StationConfigurationRefuses,
+    ::testing::Values(
+        Refused{"not_toml", "[station\n", "1:", "not valid TOML"},
+        Refused{"unknown_key", "[supervisor]\n\nover_forse_N = 1\n", "3:1: ", "did you mean over_force_N?"},
+        Refused{"unknown_far", "[realtime]\nzzzzzz = 1\n", "2:1: ", "known are priority, cpu, lock_memory"},
+        Refused{"unknown_section", "[supervisors]\nx = 1\n", "1:", "did you mean supervisor?"},
+        Refused{"unknown_role", "[can]\ninterface = \"can0\"\n[can.mapping]\nforces = \"a.b\"\n",
+                "4:1: ", "did you mean force?"},
+        Refused{"wrong_type", "[check]\nrepeats = \"20\"\n",
+                "2:11: ", "check.repeats must be a whole number"},
+        Refused{"float_count", "[check]\nrepeats = 2.5\n", "2:11: ", "whole number"},
+        Refused{"no_repeats", "[check]\nrepeats = 0\n", "2:11: ", "outside of 1 to 200"},
+        Refused{"nan", "[check]\ntare_s = nan\n", "2:10: ", "check.tare_s = nan is outside of"},
+        Refused{"too_big", "[supervisor]\nover_force_N = 1e9\n", "2:16: ", "outside of"},
+        Refused{"priority_99", "[realtime]\npriority = 99\n", "2:12: ", "outside of 0 to 98"},
+        Refused{"text_for_bool", "[realtime]\nlock_memory = \"yes\"\n", "2:15: ", "true or false"},
+        Refused{"number_for_text", "[station]\nname = 3\n", "2:8: ", "text in quotes"},
+        Refused{"control_character", "[station]\nname = \"a\\nb\"\n", "2:8: ", "control characters"},
+        Refused{"interface_path", "[can]\ninterface = \"a/b\"\n",
+                "2:13: ", "not the name of a network interface"},
+        Refused{"interface_long", "[can]\ninterface = \"abcdefghijklmnop\"\n", "2:13: ", "longer than 15"},
+        Refused{"bad_date", "[[instruments]]\nname=\"x\"\ncalibrated = \"2026-02-30\"\n",
+                "3:14: ", "YYYY-MM-DD"},
+        Refused{"no_name", "[[instruments]]\nserial=\"x\"\n", "1:", "needs a name"},
+        Refused{"one_instrument", "[instruments]\nname=\"x\"\n", "1:", "[[instruments]]"},
+        Refused{"section_is_number", "check = 3\n", "1:9: ", "must be a table"},
+        Refused{"torque_limits", "[check]\ntorque_limit_Nm = 3.1\n", " ",
+                "must be below supervisor.over_torque_Nm"},
+        Refused{"contact_force", "[supervisor]\nover_force_N = 250\n", " ",
+                "must be below supervisor.over_force_N"},
+        Refused{"embedded_hardware", "[station]\nsimulated_brake = false\n", " ", "embedded simulated one"}),
+    [](const auto& input) { return input.param.label; });
+
+TEST(DefaultDatabase, FollowsTheSystemsStateFolder) {
+  ::setenv("STATE_DIRECTORY", "/var/lib/one:/var/lib/two", 1);
+  EXPECT_EQ(default_database(), "/var/lib/one/checks.sqlite");
+  ::unsetenv("STATE_DIRECTORY");
+  EXPECT_THAT(default_database(), ::testing::EndsWith("/checks.sqlite"));
+}
+
+}  // namespace
+}  // namespace clampd

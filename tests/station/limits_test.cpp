@@ -1,0 +1,123 @@
+#include "clampd/station/limits.hpp"
+
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "clampd/record/checksum.hpp"
+
+namespace clampd {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+const std::string kGood = R"(revision = "7"
+author = "QA"
+changed = 2026-11-20
+guard_band_k = 1.5
+[parameters]
+k1 = {lower = -0.5, upper = -0.2}
+[parameters_normalised]
+k2 = {lower = 0.85, upper = 1.15}
+TC = {lower = 0.5, upper = 2}
+Ts0 = {lower = 0.5, upper = 2}
+Tv = {lower = 0.5, upper = 2}
+mus = {lower = 0.5, upper = 2}
+ws = {lower = 0.5, upper = 2}
+)";
+
+std::string replaced(std::string from, const std::string& to) {
+  std::string text = kGood;
+  const std::size_t at = text.find(from);
+  EXPECT_NE(at, std::string::npos) << from;
+  return text.replace(at, from.size(), to);
+}
+
+TEST(Limits, ReadsSiAndNormalised) {
+  const auto limits = parse_limits(kGood, "limits.toml");
+  ASSERT_TRUE(limits) << limits.error().message;
+  EXPECT_EQ(limits->revision, "7");
+  EXPECT_EQ(limits->author, "QA");
+  EXPECT_EQ(limits->changed, "2026-11-20");
+  EXPECT_EQ(limits->guard_band_k, 1.5);
+  EXPECT_EQ(limits->sha256, sha256_hex(kGood));
+  EXPECT_EQ(limits->intervals[k1].lower, -0.5);
+  EXPECT_EQ(limits->intervals[k1].upper, -0.2);
+  EXPECT_DOUBLE_EQ(limits->intervals[k2].lower, 0.85 * 35.2);
+}
+
+TEST(Limits, NormalisedLimitsOfANegativeNominalKeepTheirOrder) {
+  const auto limits = parse_limits(
+      replaced("k1 = {lower = -0.5, upper = -0.2}\n", "") + "k1 = {lower = 0.7, upper = 1.3}\n", "l");
+  ASSERT_TRUE(limits) << limits.error().message;
+  EXPECT_DOUBLE_EQ(limits->intervals[k1].lower, 1.3 * -0.354);
+  EXPECT_DOUBLE_EQ(limits->intervals[k1].upper, 0.7 * -0.354);
+}
+
+TEST(Limits, TheShippedFileIsTheBuiltInSet) {
+  const auto shipped = read_limits(CLAMPD_SOURCE_DIR "/configs/limits.toml");
+  ASSERT_TRUE(shipped) << shipped.error().message;
+  const LimitSet built_in = default_limits();
+  EXPECT_EQ(shipped->revision, built_in.revision);
+  EXPECT_EQ(shipped->guard_band_k, built_in.guard_band_k);
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    EXPECT_EQ(shipped->intervals[i].lower, built_in.intervals[i].lower) << kParameterTable[i].name;
+    EXPECT_EQ(shipped->intervals[i].upper, built_in.intervals[i].upper) << kParameterTable[i].name;
+  }
+}
+
+TEST(Limits, TheBuiltInSetPassesNominalAndNotASoftCaliper) {
+  const LimitSet limits = default_limits();
+  const ParameterVector nominal = nominal_parameters();
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    EXPECT_LT(limits.intervals[i].lower, nominal[static_cast<Eigen::Index>(i)]);
+    EXPECT_GT(limits.intervals[i].upper, nominal[static_cast<Eigen::Index>(i)]);
+  }
+  EXPECT_GT(limits.intervals[k2].lower, 0.75 * nominal[k2]);
+}
+
+struct Refused {
+  std::string label;
+  std::string from;
+  std::string to;
+  std::string says;
+};
+void PrintTo(const Refused& refused, std::ostream* out) {
+  *out << refused.label;
+}
+
+class LimitsRefuse : public ::testing::TestWithParam<Refused> {};
+
+TEST_P(LimitsRefuse, WithFileAndReason) {
+  const auto limits = parse_limits(replaced(GetParam().from, GetParam().to), "limits.toml");
+  ASSERT_FALSE(limits);
+  EXPECT_THAT(limits.error().message, StartsWith("limits.toml:"));
+  EXPECT_THAT(limits.error().message, HasSubstr(GetParam().says));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Impossible, LimitsRefuse,
+    ::testing::Values(
+        Refused{"swapped", "{lower = 0.85, upper = 1.15}", "{lower = 1.15, upper = 0.85}",
+                "8:6: k2: lower 1.15 must be below"},
+        Refused{"equal", "{lower = 0.85, upper = 1.15}", "{lower = 1.0, upper = 1.0}", "must be below upper"},
+        Refused{"half", "{lower = 0.85, upper = 1.15}", "{lower = 0.85}", "k2 needs both lower and upper"},
+        Refused{"not_finite", "upper = 1.15", "upper = inf", "k2.upper = inf is outside"},
+        Refused{"not_a_number", "lower = 0.85", "lower = nan", "k2.lower = nan is outside"},
+        Refused{"a_text", "lower = 0.85", "lower = \"0.85\"", "must be a number"},
+        Refused{"missing", "Tv = {lower = 0.5, upper = 2}\n", "", "no limits for Tv"},
+        Refused{"unknown", "Tv =", "TV =", "unknown key TV in [parameters_normalised]; did you mean Tv?"},
+        Refused{"twice", "k2 = {lower = 0.85", "k1 = {lower = 0.5, upper = 2}\nk2 = {lower = 0.85",
+                "k1 has limits twice"},
+        Refused{"negative_guard", "guard_band_k = 1.5", "guard_band_k = -1.0",
+                "guard_band_k = -1 is outside of 0 to 10"},
+        Refused{"no_revision", "revision = \"7\"", "", "no revision"},
+        Refused{"bad_date", "changed = 2026-11-20", "changed = \"yesterday\"", "YYYY-MM-DD"},
+        Refused{"misspelt", "guard_band_k", "guard_band", "did you mean guard_band_k?"},
+        Refused{"not_toml", "[parameters]", "[parameters", "not valid TOML"}),
+    [](const auto& input) { return input.param.label; });
+
+}  // namespace
+}  // namespace clampd

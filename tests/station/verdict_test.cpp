@@ -1,0 +1,224 @@
+#include "clampd/station/verdict.hpp"
+
+#include <limits>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace clampd {
+namespace {
+
+using ::testing::HasSubstr;
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+CheckFacts good_facts() {
+  CheckFacts facts;
+  facts.repeats_planned = 20;
+  facts.repeats_recorded = 20;
+  facts.estimated = true;
+  facts.estimate = nominal_parameters();
+  facts.sd = 0.01 * nominal_parameters().cwiseAbs();
+  facts.tracking_rms_N = 200.0;
+  facts.misfit_force = 1.0;
+  facts.misfit_velocity = 1.0;
+  return facts;
+}
+
+Judgement judged(const CheckFacts& facts) {
+  return judge(facts, default_limits(), ValiditySettings{});
+}
+
+TEST(JudgeParameter, GuardBandsAtBothLimits) {
+  const LimitInterval limits{10.0, 20.0};
+  const auto at = [&](double value) { return judge_parameter(value, 0.5, limits, 2.0); };
+  EXPECT_EQ(at(15.0), ParameterVerdict::Pass);
+  EXPECT_EQ(at(11.01), ParameterVerdict::Pass);
+  EXPECT_EQ(at(10.99), ParameterVerdict::Marginal);
+  EXPECT_EQ(at(9.01), ParameterVerdict::Marginal);
+  EXPECT_EQ(at(8.99), ParameterVerdict::Fail);
+  EXPECT_EQ(at(18.99), ParameterVerdict::Pass);
+  EXPECT_EQ(at(19.01), ParameterVerdict::Marginal);
+  EXPECT_EQ(at(20.99), ParameterVerdict::Marginal);
+  EXPECT_EQ(at(21.01), ParameterVerdict::Fail);
+  EXPECT_EQ(judge_parameter(10.0, 0.0, limits, 2.0), ParameterVerdict::Marginal) << "exactly at a limit";
+}
+
+TEST(Judge, ANominalBrakePasses) {
+  const Judgement judgement = judged(good_facts());
+  EXPECT_EQ(judgement.verdict, Verdict::Pass);
+  EXPECT_FALSE(judgement.marginal);
+  EXPECT_EQ(judgement.reason, "All seven parameters are within their limits.");
+  ASSERT_EQ(judgement.parameters.size(), kParameterCount);
+  EXPECT_EQ(judgement.parameters[k2].name, "k2");
+  EXPECT_EQ(judgement.parameters[k2].unit, "N/rad^2");
+}
+
+TEST(Judge, ASoftCaliperFailsByName) {
+  CheckFacts facts = good_facts();
+  facts.estimate[k2] *= 0.7;
+  facts.tracking_rms_N = 4000.0;  // which is the brake's own doing
+  const Judgement judgement = judged(facts);
+  EXPECT_EQ(judgement.verdict, Verdict::Fail);
+  EXPECT_FALSE(judgement.marginal);
+  EXPECT_EQ(judgement.reason, "k2 is 24.64 N/rad^2, below its lower limit 29.92 N/rad^2.");
+  EXPECT_EQ(judgement.parameters[k2].verdict, ParameterVerdict::Fail);
+  EXPECT_EQ(judgement.parameters[k1].verdict, ParameterVerdict::Pass);
+}
+
+TEST(Judge, NamesEveryFailingParameter) {
+  CheckFacts facts = good_facts();
+  facts.estimate[k2] *= 1.4;
+  facts.estimate[TC] *= 3.0;
+  const Judgement judgement = judged(facts);
+  EXPECT_THAT(judgement.reason, HasSubstr("k2 is 49.28 N/rad^2, above its upper limit 40.48 N/rad^2; TC is"));
+}
+
+TEST(Judge, AMarginalValueIsDecidedByItselfAndMarked) {
+  CheckFacts inside = good_facts();
+  inside.estimate[k2] = 0.86 * 35.2;
+  const Judgement passes = judged(inside);
+  EXPECT_EQ(passes.verdict, Verdict::Pass);
+  EXPECT_TRUE(passes.marginal);
+  EXPECT_EQ(passes.parameters[k2].verdict, ParameterVerdict::Marginal);
+  EXPECT_THAT(passes.reason, HasSubstr("k2 is 30.27 N/rad^2, close to its lower limit"));
+
+  CheckFacts outside = good_facts();
+  outside.estimate[k2] = 0.84 * 35.2;
+  const Judgement fails = judged(outside);
+  EXPECT_EQ(fails.verdict, Verdict::Fail);
+  EXPECT_TRUE(fails.marginal);
+  EXPECT_THAT(fails.reason, HasSubstr("below its lower limit"));
+}
+
+TEST(Judge, AClearFailureIsNotMarginal) {
+  CheckFacts facts = good_facts();
+  facts.estimate[k2] = 0.84 * 35.2;
+  facts.estimate[TC] *= 3.0;
+  const Judgement judgement = judged(facts);
+  EXPECT_EQ(judgement.verdict, Verdict::Fail);
+  EXPECT_FALSE(judgement.marginal);
+  EXPECT_THAT(judgement.reason, testing::StartsWith("TC is"));
+}
+
+TEST(Judge, AnUncertaintyThatCouldNeverPassIsTheStationsFault) {
+  CheckFacts facts = good_facts();
+  facts.sd[k2] = 0.2 * 35.2;
+  const Judgement judgement = judged(facts);
+  EXPECT_EQ(judgement.verdict, Verdict::Error);
+  EXPECT_THAT(judgement.reason, HasSubstr("k2 is too uncertain"));
+}
+
+struct Invalid {
+  std::string label;
+  void (*spoil)(CheckFacts&);
+  Verdict verdict;
+  std::string says;
+};
+void PrintTo(const Invalid& invalid, std::ostream* out) {
+  *out << invalid.label;
+}
+
+class JudgeInvalid : public ::testing::TestWithParam<Invalid> {};
+
+TEST_P(JudgeInvalid, IsNeverAPassNorAFail) {
+  for (const double factor : {1.0, 0.7}) {  // a brake that would pass, and one that would fail
+    CheckFacts facts = good_facts();
+    facts.estimate[k2] *= factor;
+    GetParam().spoil(facts);
+    const Judgement judgement = judged(facts);
+    EXPECT_EQ(judgement.verdict, GetParam().verdict);
+    EXPECT_FALSE(judgement.marginal);
+    EXPECT_THAT(judgement.reason, HasSubstr(GetParam().says));
+    EXPECT_EQ(judgement.reason.back(), '.');
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Causes, JudgeInvalid,
+    ::testing::Values(
+        Invalid{"operator", [](CheckFacts& f) { f.fault = FaultCause::OperatorStop; }, Verdict::Aborted,
+                "operator"},
+        Invalid{"emergency", [](CheckFacts& f) { f.fault = FaultCause::EmergencyStop; }, Verdict::Aborted,
+                "emergency"},
+        Invalid{"operator_late",
+                [](CheckFacts& f) {
+                  f.fault = FaultCause::OperatorStop;
+                  f.deadline_passed = true;
+                },
+                Verdict::Aborted, "operator"},
+        Invalid{"deadline", [](CheckFacts& f) { f.deadline_passed = true; }, Verdict::Timeout, "deadline"},
+        Invalid{"phase", [](CheckFacts& f) { f.fault = FaultCause::SequenceTimeout; }, Verdict::Timeout,
+                "in time"},
+        Invalid{"bus_off",
+                [](CheckFacts& f) {
+                  f.fault = FaultCause::BusOff;
+                  f.repeats_recorded = 3;
+                },
+                Verdict::Error, "bus-off"},
+        Invalid{"bus_off_late",
+                [](CheckFacts& f) {
+                  f.fault = FaultCause::BusOff;
+                  f.deadline_passed = true;
+                },
+                Verdict::Error, "bus-off"},
+        Invalid{"fault_words",
+                [](CheckFacts& f) {
+                  f.fault = FaultCause::LinkDown;
+                  f.fault_text = "Plug the cable in.";
+                },
+                Verdict::Error, "Plug the cable in."},
+        Invalid{"lost", [](CheckFacts& f) { f.samples_lost = 1; }, Verdict::Error, "1 samples got lost"},
+        Invalid{"skipped", [](CheckFacts& f) { f.ticks_skipped = 6; }, Verdict::Error,
+                "missed 6 of its ticks"},
+        Invalid{"problem", [](CheckFacts& f) { f.problem = "repeat 2 ended after 7 of 300 rows"; },
+                Verdict::Error, "repeat 2 ended"},
+        Invalid{"few", [](CheckFacts& f) { f.repeats_recorded = 19; }, Verdict::Error, "Only 19 of 20"},
+        Invalid{"no_fit",
+                [](CheckFacts& f) {
+                  f.estimated = false;
+                  f.estimate_text = "singular";
+                },
+                Verdict::Error, "identified from the runs: singular"},
+        Invalid{"nan_value", [](CheckFacts& f) { f.estimate[3] = kNaN; }, Verdict::Error, "identified"},
+        Invalid{"nan_sd", [](CheckFacts& f) { f.sd[0] = kNaN; }, Verdict::Error, "identified"},
+        Invalid{"misfit_force", [](CheckFacts& f) { f.misfit_force = 5.0; }, Verdict::Error,
+                "explain the measured force: the misfit is 5.0 times"},
+        Invalid{"misfit_velocity", [](CheckFacts& f) { f.misfit_velocity = 9.0; }, Verdict::Error,
+                "measured velocity"},
+        Invalid{"misfit_nan", [](CheckFacts& f) { f.misfit_force = kNaN; }, Verdict::Error,
+                "measured force"}),
+    [](const auto& input) { return input.param.label; });
+
+TEST(Judge, EveryFaultIsInvalid) {
+  for (int i = 1; i <= static_cast<int>(FaultCause::SampleLost); ++i) {
+    CheckFacts facts = good_facts();
+    facts.fault = static_cast<FaultCause>(i);
+    const Judgement judgement = judged(facts);
+    EXPECT_NE(judgement.verdict, Verdict::Pass) << to_string(facts.fault);
+    EXPECT_NE(judgement.verdict, Verdict::Fail) << to_string(facts.fault);
+    EXPECT_FALSE(judgement.reason.empty());
+  }
+}
+
+TEST(Judge, AGoodBrakeThatWasNotDrivenRightIsNotPassed) {
+  CheckFacts facts = good_facts();
+  facts.tracking_rms_N = 1501.0;
+  const Judgement judgement = judged(facts);
+  EXPECT_EQ(judgement.verdict, Verdict::Error);
+  EXPECT_THAT(judgement.reason, HasSubstr("did not follow the trajectory: 1501 N rms off (1500 N allowed)"));
+  facts.tracking_rms_N = kNaN;
+  EXPECT_EQ(judged(facts).verdict, Verdict::Error);
+}
+
+TEST(ExitCode, IsThatOfTheContract) {
+  EXPECT_EQ(exit_code(Verdict::Pass), 0);
+  EXPECT_EQ(exit_code(Verdict::Fail), 1);
+  EXPECT_EQ(exit_code(Verdict::Error), 3);
+  EXPECT_EQ(exit_code(Verdict::Aborted), 4);
+  EXPECT_EQ(exit_code(Verdict::Timeout), 5);
+}
+
+}  // namespace
+}  // namespace clampd
