@@ -1,0 +1,56 @@
+#pragma once
+
+#include <limits>
+#include <span>
+#include <string>
+
+#include "clampd/brake/integrator.hpp"
+#include "clampd/brake/parameters.hpp"
+#include "clampd/experiment/criterion.hpp"
+#include "clampd/identify/information.hpp"
+
+namespace clampd {
+
+struct DesignLimits {
+  double torque_Nm = 3.0;
+  double force_N = 30e3;
+  double velocity_rad_s = 300.0;  ///< of the speed, in both directions
+  /// Of the change of velocity at any sample, per N m that the torque is off all along. The loaded brake is
+  /// unstable in slow motion, at about 62 /s, and much information sits there: without this limit the search
+  /// ends in experiments that a torque error of a fraction of a millinewton metre turns into others, and
+  /// whose M holds only for parameter errors far below those that it promises. May be infinite.
+  double amplification_rad_s_Nm = 2e4;
+  /// Of the speed at the last sample.
+  double end_velocity_rad_s = std::numeric_limits<double>::infinity();
+};
+
+/// An experiment as seen by an integrator that shares no code with advance().
+struct Certification {
+  Criterion criterion{std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity()};
+  double force_max_N = std::numeric_limits<double>::quiet_NaN();  ///< also between the samples
+  double velocity_max_rad_s = std::numeric_limits<double>::quiet_NaN();
+  double end_velocity_rad_s = std::numeric_limits<double>::quiet_NaN();
+  double amplification_rad_s_Nm = std::numeric_limits<double>::quiet_NaN();
+  /// Largest difference from the outputs of simulate().
+  double force_difference_N = std::numeric_limits<double>::quiet_NaN();
+  double velocity_difference_rad_s = std::numeric_limits<double>::quiet_NaN();
+  std::string objection;  ///< why the experiment is refused; empty: it is not
+
+  bool granted() const { return objection.empty(); }
+};
+
+/// What certify() lets pass as agreement of the two integrators.
+inline constexpr double kCertifiedLogdet = 0.1;
+inline constexpr double kCertifiedForce_N = 10.0;
+inline constexpr double kCertifiedVelocity_rad_s = 1.0;
+
+/// Simulates torque_Nm (one per kLargestStep_s) with small implicit steps, takes M (14) from central
+/// differences of those simulations, and compares: limits kept at every small step, outputs and -log det M
+/// equal to those of simulate() and `claimed_logdet`. The differences are taken over two steps of the
+/// parameters, a hundred-thousandth and a ten-thousandth of nominal: an experiment so close to a lock-up that
+/// its M does not even hold over these fails here.
+Certification certify(const BrakeParameters& brake, const BrakeState& initial,
+                      std::span<const double> torque_Nm, const SensorNoise& noise, const DesignLimits& limits,
+                      double claimed_logdet);
+
+}  // namespace clampd

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "clampd/base/result.hpp"
+#include "clampd/brake/simulation.hpp"
+#include "clampd/experiment/certification.hpp"
+#include "clampd/experiment/criterion.hpp"
+
+namespace clampd {
+
+/// Fewer samples cannot tell seven parameters; more would take minutes.
+inline constexpr std::size_t kFewestSamples = 7;
+inline constexpr std::size_t kMostSamples = 10000;
+inline constexpr std::size_t kMostBlocks = 200;
+
+struct DesignOptions {
+  BrakeParameters brake;                    ///< for which the experiment is designed
+  BrakeState initial = BrakeState::Zero();  ///< known; position from contact (rad), velocity (rad/s)
+  std::size_t samples = 300;       ///< outputs, one per kLargestStep_s; the first one is the initial state
+  std::size_t block_samples = 20;  ///< samples that share one torque; samples is a multiple
+  Objective objective = Objective::D;
+  DesignLimits limits;
+  SensorNoise noise;
+  std::uint64_t seed = 1;
+  /// Local optimisations. More find better designs; time grows in proportion.
+  int starts = 240;
+  /// 0: as many as the machine has. The result does not depend on it.
+  int threads = 0;
+  /// Called from the calling thread with the share of the work done and the best objective so far (infinite
+  /// before there is one): -log det M, or log trace of the inverse of M.
+  std::function<void(double fraction, double best)> progress;
+
+  /// The first option that cannot be, in words.
+  Result<void> validate() const;
+};
+
+enum class DesignTermination {
+  Certified,        ///< an independent integrator confirms limits and criterion
+  NothingFeasible,  ///< no start reached an experiment within the limits that identifies all parameters
+  NotCertified,     ///< the independent integrator refused every candidate
+};
+std::string_view to_string(DesignTermination termination) noexcept;
+
+/// Result of Procedure 1. Torques, criterion and certification are there only if certified().
+struct DesignSummary {
+  DesignTermination termination = DesignTermination::NothingFeasible;
+  std::string message;
+  std::vector<double> block_torque_Nm;
+  Criterion criterion{std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity()};
+  Certification certification;   ///< criterion and extremes by the independent integrator
+  std::int64_t simulations = 0;  ///< whole runs simulated, sensitivities or not
+  double wall_s = 0.0;
+
+  bool certified() const { return termination == DesignTermination::Certified; }
+};
+
+/// Procedure 1: torques of the blocks that minimise the objective within the limits, for the set-valued
+/// friction model (the limit eps -> infinity of (4)). A multistart of gradient searches, each from the best
+/// of many random experiments or of variations of the best designs so far. Repeats exactly for a given seed
+/// on one machine. Only a design that certify() confirms is offered.
+DesignSummary design_experiment(const DesignOptions& options);
+
+/// One torque per sample from one per block.
+std::vector<double> expand_blocks(const std::vector<double>& block_torque_Nm, std::size_t block_samples);
+
+}  // namespace clampd

@@ -1,0 +1,386 @@
+#include "clampd/experiment/optimal_design.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <memory>
+#include <random>
+#include <span>
+#include <thread>
+
+#include <fmt/format.h>
+#include <nlopt.h>
+
+#include "clampd/base/assert.hpp"
+#include "design_problem.hpp"
+
+namespace clampd {
+
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+/// Share by which the search undercuts the limits on force and speed: room for what happens between the
+/// samples and for the difference of the integrators.
+constexpr double kTightening = 2e-4;
+/// A violation that counts as none, relative to a limit: well inside of the tightening.
+constexpr double kFeasible = 2e-5;
+
+constexpr std::size_t kRandomExperiments = 60;  ///< tried for each start of the exploration
+constexpr std::size_t kVariations = 30;         ///< tried for each start of the improvement
+constexpr int kExplorationEvaluations = 60;
+constexpr int kImprovementEvaluations = 60;
+constexpr int kPolishEvaluations = 300;
+constexpr std::size_t kElite = 16;
+constexpr std::size_t kRoundStarts = 24;  ///< starts between two selections of the elite
+/// Designs whose torques are nowhere further apart than this share of the limit are of one family; the elite
+/// holds one of each.
+constexpr double kSameFamily = 0.1;
+/// A start this close to its parent in the objective would only be searched again.
+constexpr double kSameObjective = 0.02;
+/// Designs that are shown to certify() before the search gives up.
+constexpr std::size_t kCertifications = 40;
+
+struct Candidate {
+  std::vector<double> x;  ///< torques of the blocks over the torque limit
+  double objective = kInfinity;
+};
+
+struct OptimiserDeleter {
+  void operator()(nlopt_opt optimiser) const { nlopt_destroy(optimiser); }
+};
+using Optimiser = std::unique_ptr<std::remove_pointer_t<nlopt_opt>, OptimiserDeleter>;
+
+/// What the search is told where M is singular: worse than any real design, and finite, as it must be.
+constexpr double kSingularObjective = 1e3;
+
+double objective_for_search(unsigned count, const double* x, double* gradient, void* data) {
+  auto& problem = *static_cast<DesignProblem*>(data);
+  if (gradient != nullptr) {
+    problem.differentiate({x, count});
+    std::copy(problem.objective_gradient().begin(), problem.objective_gradient().end(), gradient);
+  } else {
+    problem.evaluate({x, count});
+  }
+  return std::isfinite(problem.objective()) ? problem.objective() : kSingularObjective;
+}
+
+void constraints_for_search(unsigned constraints, double* result, unsigned count, const double* x,
+                            double* gradient, void* data) {
+  auto& problem = *static_cast<DesignProblem*>(data);
+  if (gradient != nullptr) {
+    problem.differentiate({x, count});
+    for (unsigned row = 0; row < constraints; ++row)
+      for (unsigned column = 0; column < count; ++column)
+        gradient[row * count + column] = problem.constraint_gradient()(row, column);
+  } else {
+    problem.evaluate({x, count});
+  }
+  std::copy(problem.constraint_values().begin(), problem.constraint_values().end(), result);
+}
+
+/// Sequential quadratic programming from candidate.x; keeps the best feasible point it passes.
+void improve(DesignProblem& problem, Candidate& candidate, int evaluations) {
+  const auto count = static_cast<unsigned>(problem.blocks());
+  const Optimiser optimiser(nlopt_create(NLOPT_LD_SLSQP, count));
+  const std::vector<double> tolerance(problem.constraints(), kFeasible);
+  nlopt_set_min_objective(optimiser.get(), objective_for_search, &problem);
+  nlopt_add_inequality_mconstraint(optimiser.get(), static_cast<unsigned>(problem.constraints()),
+                                   constraints_for_search, &problem, tolerance.data());
+  nlopt_set_lower_bounds1(optimiser.get(), -1.0);
+  nlopt_set_upper_bounds1(optimiser.get(), 1.0);
+  nlopt_set_ftol_abs(optimiser.get(), 1e-4);
+  nlopt_set_maxeval(optimiser.get(), evaluations);
+  std::vector<double> x = candidate.x;
+  double reached = kInfinity;
+  // Failures of its line search near a kink of the model are an end like any other.
+  nlopt_optimize(optimiser.get(), x.data(), &reached);
+  for (double& share : x) share = std::clamp(share, -1.0, 1.0);
+  problem.evaluate(x);
+  if (problem.violation() > kFeasible || !(problem.objective() < kSingularObjective)) return;
+  candidate.x = x;
+  candidate.objective = problem.objective();
+}
+
+/// Objective with the violation added: ranks starts, feasible or not.
+double merit(DesignProblem& problem, std::span<const double> x) {
+  problem.evaluate(x);
+  return problem.objective() + 100.0 * problem.violation();
+}
+
+class Search {
+ public:
+  explicit Search(const DesignOptions& options);
+  void run();
+  /// All feasible designs found, the best one first.
+  const std::vector<Candidate>& feasible() const { return feasible_; }
+  double simulations() const;
+
+ private:
+  Candidate explore(DesignProblem& problem, std::mt19937_64& random) const;
+  Candidate vary(DesignProblem& problem, std::mt19937_64& random) const;
+  void vary_once(DesignProblem& problem, std::mt19937_64& random, std::vector<double>& x) const;
+  template <class Task>
+  std::vector<Candidate> in_parallel(std::size_t count, const Task& task);
+  void select(std::vector<Candidate>&& found);
+  void report() const;
+
+  const DesignOptions& options_;
+  std::vector<DesignProblem> problems_;
+  std::vector<Candidate> feasible_;
+  std::vector<Candidate> elite_;
+  std::uint64_t task_ = 0;
+  std::size_t total_;
+};
+
+Search::Search(const DesignOptions& options)
+    : options_(options), total_(static_cast<std::size_t>(options.starts)) {
+  const unsigned machine = std::max(1U, std::thread::hardware_concurrency());
+  const unsigned threads = options.threads > 0 ? static_cast<unsigned>(options.threads) : machine;
+  for (unsigned i = 0; i < std::min(threads, 64U); ++i) problems_.emplace_back(options, kTightening);
+}
+
+double Search::simulations() const {
+  double sum = 0.0;
+  for (const DesignProblem& problem : problems_) sum += problem.simulations();
+  return sum;
+}
+
+template <class Task>
+std::vector<Candidate> Search::in_parallel(std::size_t count, const Task& task) {
+  std::vector<Candidate> found(count);
+  std::atomic<std::size_t> next{0};
+  const auto work = [&](DesignProblem& problem) {
+    for (std::size_t i = next++; i < count; i = next++) {
+      // Each task draws from its own stream, so that no result depends on which thread does it.
+      std::seed_seq seed{options_.seed, options_.seed >> 32, task_ + i};
+      std::mt19937_64 random(seed);
+      found[i] = task(problem, random, i);
+    }
+  };
+  std::vector<std::jthread> threads;
+  for (std::size_t i = 1; i < problems_.size(); ++i)
+    threads.emplace_back([&work, &problem = problems_[i]] { work(problem); });
+  work(problems_.front());
+  threads.clear();
+  task_ += count;
+  return found;
+}
+
+Candidate Search::explore(DesignProblem& problem, std::mt19937_64& random) const {
+  Candidate best{std::vector<double>(problem.blocks()), kInfinity};
+  double best_merit = kInfinity;
+  std::vector<double> x(problem.blocks());
+  for (std::size_t i = 0; i < kRandomExperiments; ++i) {
+    problem.random_tail(random, 0, x);
+    const double value = merit(problem, x);
+    if (i > 0 && !(value < best_merit)) continue;
+    best_merit = value;
+    best.x = x;
+  }
+  improve(problem, best, kExplorationEvaluations);
+  return best;
+}
+
+void Search::vary_once(DesignProblem& problem, std::mt19937_64& random, std::vector<double>& x) const {
+  std::uniform_real_distribution<double> unit(0.0, 1.0);
+  std::normal_distribution<double> normal;
+  const auto block = [&] {
+    return std::min(x.size() - 1, static_cast<std::size_t>(unit(random) * static_cast<double>(x.size())));
+  };
+  const double kind = unit(random);
+  if (kind < 0.25) {
+    problem.random_tail(random, block(), x);
+  } else if (kind < 0.5) {
+    const double size = std::pow(10.0, -2.0 + 1.7 * unit(random));
+    for (double& share : x) share += size * normal(random);
+  } else if (kind < 0.7) {  // move what comes later by a block
+    const auto from = static_cast<std::ptrdiff_t>(block());
+    if (unit(random) < 0.5)
+      std::rotate(x.begin() + from, x.end() - 1, x.end());
+    else
+      std::rotate(x.begin() + from, x.begin() + from + 1, x.end());
+  } else if (kind < 0.85) {  // one design's beginning, another's end
+    const auto& other =
+        elite_[std::min(elite_.size() - 1,
+                        static_cast<std::size_t>(unit(random) * static_cast<double>(elite_.size())))]
+            .x;
+    const auto from = static_cast<std::ptrdiff_t>(block());
+    std::copy(other.begin() + from, other.end(), x.begin() + from);
+  } else {
+    x[block()] = 2.0 * unit(random) - 1.0;
+    x[block()] += 0.3 * normal(random);
+  }
+  for (double& share : x) share = std::clamp(share, -1.0, 1.0);
+}
+
+Candidate Search::vary(DesignProblem& problem, std::mt19937_64& random) const {
+  std::uniform_real_distribution<double> unit(0.0, 1.0);
+  // The better ones more often.
+  const double draw = unit(random) * unit(random);
+  const std::size_t index =
+      std::min(elite_.size() - 1, static_cast<std::size_t>(draw * static_cast<double>(elite_.size())));
+  const Candidate& parent = elite_[index];
+  Candidate best{parent.x, kInfinity};
+  double best_merit = kInfinity;
+  for (std::size_t i = 0; i < kVariations; ++i) {
+    std::vector<double> x = parent.x;
+    vary_once(problem, random, x);
+    const double value = merit(problem, x);
+    if (std::abs(value - parent.objective) < kSameObjective) continue;
+    if (!(value < best_merit)) continue;
+    best_merit = value;
+    best.x = std::move(x);
+  }
+  improve(problem, best, kImprovementEvaluations);
+  return best;
+}
+
+void Search::select(std::vector<Candidate>&& found) {
+  for (Candidate& candidate : found)
+    if (std::isfinite(candidate.objective)) feasible_.push_back(std::move(candidate));
+  std::stable_sort(feasible_.begin(), feasible_.end(),
+                   [](const Candidate& a, const Candidate& b) { return a.objective < b.objective; });
+  const auto same_family = [](const Candidate& a, const Candidate& b) {
+    for (std::size_t i = 0; i < a.x.size(); ++i)
+      if (std::abs(a.x[i] - b.x[i]) > kSameFamily) return false;
+    return true;
+  };
+  elite_.clear();
+  for (const Candidate& candidate : feasible_) {
+    if (elite_.size() == kElite) break;
+    if (std::none_of(elite_.begin(), elite_.end(),
+                     [&](const Candidate& better) { return same_family(better, candidate); }))
+      elite_.push_back(candidate);
+  }
+}
+
+void Search::report() const {
+  if (!options_.progress) return;
+  options_.progress(static_cast<double>(task_) / static_cast<double>(total_ + kElite),
+                    elite_.empty() ? kInfinity : elite_.front().objective);
+}
+
+void Search::run() {
+  const std::size_t exploration = std::max<std::size_t>(1, total_ / 2);
+  while (task_ < total_) {
+    const std::size_t count = std::min(kRoundStarts, total_ - static_cast<std::size_t>(task_));
+    if (task_ < exploration || elite_.empty())
+      select(in_parallel(
+          count, [this](auto& problem, auto& random, std::size_t) { return explore(problem, random); }));
+    else
+      select(in_parallel(count,
+                         [this](auto& problem, auto& random, std::size_t) { return vary(problem, random); }));
+    report();
+  }
+  const std::vector<Candidate> rough = elite_;
+  select(in_parallel(rough.size(), [&rough](DesignProblem& problem, std::mt19937_64&, std::size_t i) {
+    Candidate candidate = rough[i];
+    improve(problem, candidate, kPolishEvaluations);
+    return candidate;
+  }));
+  report();
+}
+
+}  // namespace
+
+std::vector<double> expand_blocks(const std::vector<double>& block_torque_Nm, std::size_t block_samples) {
+  std::vector<double> torque_Nm;
+  torque_Nm.reserve(block_torque_Nm.size() * block_samples);
+  for (const double torque : block_torque_Nm) torque_Nm.insert(torque_Nm.end(), block_samples, torque);
+  return torque_Nm;
+}
+
+std::string_view to_string(DesignTermination termination) noexcept {
+  switch (termination) {
+    case DesignTermination::Certified:
+      return "certified";
+    case DesignTermination::NothingFeasible:
+      return "nothing feasible";
+    case DesignTermination::NotCertified:
+      return "not certified";
+  }
+  return "unknown";
+}
+
+Result<void> DesignOptions::validate() const {
+  const auto positive = [](double value) { return std::isfinite(value) && value > 0.0; };
+  if (block_samples < 1) return failure("a block needs at least one sample");
+  if (samples < kFewestSamples || samples > kMostSamples)
+    return failure(fmt::format("an experiment of {} samples is not possible; {} to {} are", samples,
+                               kFewestSamples, kMostSamples));
+  if (samples % block_samples != 0)
+    return failure(
+        fmt::format("{} samples are not a whole number of blocks of {} samples", samples, block_samples));
+  if (samples / block_samples > kMostBlocks)
+    return failure(fmt::format("{} blocks are too many to optimise; at most {}: take longer blocks",
+                               samples / block_samples, kMostBlocks));
+  if (!positive(limits.torque_Nm)) return failure("the torque limit must be positive");
+  if (!positive(limits.force_N)) return failure("the force limit must be positive");
+  if (!positive(limits.velocity_rad_s)) return failure("the speed limit must be positive");
+  if (!(limits.end_velocity_rad_s >= 0.0))
+    return failure("the limit of the speed at the end must not be negative");
+  if (!(limits.amplification_rad_s_Nm > 0.0)) return failure("the amplification limit must be positive");
+  if (!positive(noise.force_N) || !positive(noise.velocity_rad_s))
+    return failure("the noise of force and velocity must be positive");
+  if (starts < 1 || starts > 1000000) return failure("the number of starts must be between 1 and 1000000");
+  if (threads < 0) return failure("the number of threads must not be negative");
+  if (!initial.allFinite() || !is_bounded(initial)) return failure("the initial state is not a possible one");
+  if (std::abs(initial[1]) > limits.velocity_rad_s)
+    return failure(fmt::format("the initial velocity of {} rad/s is beyond the speed limit of {}", initial[1],
+                               limits.velocity_rad_s));
+  if (const double force_N = paper_brake(brake).read(initial).force_N; force_N > limits.force_N)
+    return failure(fmt::format("the clamp force at the initial position is {:.0f} N, beyond the limit of {}",
+                               force_N, limits.force_N));
+  return {};
+}
+
+DesignSummary design_experiment(const DesignOptions& options) {
+  CLAMPD_ASSERT(options.validate());
+  const auto begin = std::chrono::steady_clock::now();
+  DesignSummary summary;
+  Search search(options);
+  search.run();
+  summary.simulations = static_cast<std::int64_t>(search.simulations());
+  if (search.feasible().empty()) {
+    summary.termination = DesignTermination::NothingFeasible;
+    summary.message =
+        "no start found an experiment that keeps the limits and identifies all parameters; allow more time, "
+        "force or torque";
+  }
+  DesignProblem problem(options, 0.0);
+  for (std::size_t i = 0; i < std::min(kCertifications, search.feasible().size()); ++i) {
+    const Candidate& candidate = search.feasible()[i];
+    problem.evaluate(candidate.x);
+    std::vector<double> block_torque_Nm = candidate.x;
+    for (double& torque : block_torque_Nm) torque *= options.limits.torque_Nm;
+    const Criterion criterion = criterion_of(problem.information());
+    Certification certification =
+        certify(options.brake, options.initial, expand_blocks(block_torque_Nm, options.block_samples),
+                options.noise, options.limits, criterion.logdet);
+    if (!certification.granted()) {
+      if (i == 0) {
+        summary.termination = DesignTermination::NotCertified;
+        summary.message = fmt::format(
+            "an independent simulation refuses every design found; of the best one it says: {}. Try another "
+            "seed or more starts",
+            certification.objection);
+      }
+      continue;
+    }
+    summary.termination = DesignTermination::Certified;
+    summary.message =
+        i == 0 ? "certified by an independent simulation"
+               : fmt::format("certified by an independent simulation, which refused {} better one{}", i,
+                             i == 1 ? "" : "s");
+    summary.block_torque_Nm = std::move(block_torque_Nm);
+    summary.criterion = criterion;
+    summary.certification = std::move(certification);
+    break;
+  }
+  summary.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return summary;
+}
+
+}  // namespace clampd
