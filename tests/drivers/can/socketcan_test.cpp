@@ -7,6 +7,8 @@
 
 #include <array>
 #include <cstdlib>
+#include <memory>
+#include <string>
 
 #include "clampd/base/clock.hpp"
 
@@ -81,12 +83,15 @@ TEST(Interface, OpeningSaysWhatIsMissing) {
   }
 }
 
-/// Two sockets on one real interface, named by CLAMPD_TEST_CAN (a vcan that is up).
+/// Two sockets on one real interface, named by CLAMPD_TEST_CAN: a vcan that is up, and that the tests may
+/// take down and remove.
 class RealBus : public ::testing::Test {
  protected:
   void SetUp() override {
     const char* interface = std::getenv("CLAMPD_TEST_CAN");
-    if (interface == nullptr) GTEST_SKIP() << "set CLAMPD_TEST_CAN to a vcan interface that is up";
+    if (interface == nullptr)
+      GTEST_SKIP() << "set CLAMPD_TEST_CAN to a vcan interface that is up and may be removed";
+    interface_ = interface;
     auto a = SocketCanBus::open(interface, {0x180, kExtendedId | 0x181});
     auto b = SocketCanBus::open(interface, {0x100});
     ASSERT_TRUE(a) << a.error().message;
@@ -95,6 +100,11 @@ class RealBus : public ::testing::Test {
     brake_ = std::move(*b);
   }
 
+  void ip_link(const std::string& arguments) {
+    ASSERT_EQ(std::system(("ip link " + arguments).c_str()), 0) << arguments;
+  }
+
+  std::string interface_;
   std::unique_ptr<SocketCanBus> station_;
   std::unique_ptr<SocketCanBus> brake_;
   std::array<TimedFrame, 8> received_;
@@ -139,8 +149,52 @@ TEST_F(RealBus, TheKernelsDropsAreCounted) {
   EXPECT_EQ(got + station_->health().receive_overflows, kFrames + 1U);
 }
 
+TEST_F(RealBus, AnInterfaceThatGoesDownComesBackByItself) {
+  ip_link("set " + interface_ + " down");
+  EXPECT_EQ(station_->receive(received_, 0), 0U);
+  EXPECT_EQ(station_->health().link, LinkState::Down) << "known without sending";
+  EXPECT_FALSE(brake_->send(Frame{0x180, 1, {}}, 0));
+  EXPECT_EQ(brake_->health().link, LinkState::Down);
+  EXPECT_EQ(brake_->health().send_failures, 1U);
+  EXPECT_FALSE(inspect_interface(interface_)->up);
+  EXPECT_TRUE(SocketCanBus::open(interface_, {1})) << "one may open before it is up";
+  ip_link("set " + interface_ + " up");
+  // A socket that still holds the unread error of going down reports it once.
+  brake_->send(Frame{0x180, 1, {}}, 0);
+  EXPECT_TRUE(brake_->send(Frame{0x180, 1, {}}, 0));
+  EXPECT_EQ(brake_->health().link, LinkState::Up);
+  EXPECT_GE(station_->receive(received_, 0), 1U);
+  EXPECT_EQ(station_->health().link, LinkState::Up);
+}
+
+TEST_F(RealBus, AVanishedInterfaceIsFoundAgainBehindTheSameSocket) {
+  EXPECT_TRUE(station_->reopen()) << "nothing to do";
+  ip_link("del " + interface_);
+  EXPECT_EQ(station_->receive(received_, 0), 0U);
+  EXPECT_EQ(station_->link(), LinkState::Gone) << "known without sending";
+  brake_->send(Frame{0x180, 1, {}}, 0);
+  EXPECT_FALSE(brake_->send(Frame{0x180, 1, {}}, 0));
+  EXPECT_EQ(brake_->link(), LinkState::Gone);
+  const auto missing = station_->reopen();
+  ASSERT_FALSE(missing);
+  EXPECT_THAT(missing.error().message, HasSubstr("there is no CAN interface"));
+
+  ip_link("add " + interface_ + " type vcan");
+  ip_link("set " + interface_ + " up");
+  EXPECT_FALSE(brake_->send(Frame{0x180, 1, {}}, 0)) << "a new interface needs a new socket";
+  EXPECT_EQ(brake_->link(), LinkState::Gone);
+  ASSERT_TRUE(station_->reopen());
+  ASSERT_TRUE(brake_->reopen());
+  EXPECT_TRUE(brake_->send(Frame{0x180, 1, {7}}, 0));
+  EXPECT_TRUE(brake_->send(Frame{0x100, 1, {7}}, 0)) << "the filters are in force again";
+  ASSERT_EQ(station_->receive(received_, 0), 1U);
+  EXPECT_EQ(received_[0].frame.data[0], 7);
+  EXPECT_EQ(station_->link(), LinkState::Up);
+  EXPECT_EQ(brake_->link(), LinkState::Up);
+}
+
 TEST_F(RealBus, TheInterfaceIsDescribed) {
-  const auto info = inspect_interface(std::getenv("CLAMPD_TEST_CAN"));
+  const auto info = inspect_interface(interface_);
   ASSERT_TRUE(info) << info.error().message;
   EXPECT_TRUE(info->up);
   EXPECT_THAT(info->kind, AnyOf("vcan", "vxcan", "can"));
