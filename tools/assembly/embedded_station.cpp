@@ -1,6 +1,5 @@
 #include "tools/assembly/embedded_station.hpp"
 
-#include <array>
 #include <chrono>
 #include <optional>
 
@@ -22,20 +21,11 @@ EmbeddedStation::EmbeddedStation(PreparedStation station, const sim::PlantConfig
     : station_(std::move(station)),
       bus_(static_cast<double>(station_.configuration.can.bitrate)),
       port_(bus_.end(can::EmbeddedBus::End::Station), station_.codec),
-      brake_protocol_(station_.codec),
-      brake_(plant),
+      brake_(bus_.end(can::EmbeddedBus::End::Brake), station_.codec, plant, nullptr),
       core_(port_, station_.supervisor) {}
 
 void EmbeddedStation::advance_one_period() {
-  can::FrameBus& wire = bus_.end(can::EmbeddedBus::End::Brake);
-  std::array<can::TimedFrame, 8> received;
-  const std::size_t count = wire.receive(received, now_ns_);
-  for (std::size_t i = 0; i < count; ++i)
-    if (const auto command = brake_protocol_.accept(received[i].frame, received[i].arrival_ns)) brake_.command(*command);
-  const BrakeFeedback reading = brake_.sample();
-  std::array<can::Frame, can::kMaximumFeedbackFrames> frames;
-  const std::size_t frame_count = brake_protocol_.feedback(reading, frames);
-  for (std::size_t i = 0; i < frame_count; ++i) wire.send(frames[i], now_ns_);
+  brake_.tick(now_ns_, 0, 0);
   core_.tick(now_ns_ + kPeriod_ns / 2, 0, 0);
   now_ns_ += kPeriod_ns;
 }

@@ -9,9 +9,10 @@
 #include "clampd/station/session.hpp"
 #include "drivers/can/can_brake.hpp"
 #include "drivers/can/embedded_bus.hpp"
-#include "drivers/sim/simulated_brake.hpp"
+#include "drivers/sim/plant_configuration.hpp"
 #include "rt/control_core.hpp"
 #include "tools/assembly/prepared_station.hpp"
+#include "tools/clampd-plant/plant.hpp"
 
 namespace clampd::assembly {
 
@@ -35,8 +36,7 @@ class EmbeddedStation {
   PreparedStation station_;
   can::EmbeddedBus bus_;
   can::CanBrake port_;
-  can::BrakeProtocol brake_protocol_;
-  sim::SimulatedBrake brake_;
+  plant::Plant brake_;
   rt::ControlCore core_;
   std::int64_t now_ns_ = 0;
 };

@@ -13,6 +13,7 @@
 #include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
 #include "tools/assembly/builtin.hpp"
+#include "tools/simulation/simulate.hpp"
 
 namespace clampd::assembly {
 
@@ -87,15 +88,9 @@ rt::SupervisorSettings supervisor_settings(const clampd::SupervisorSettings& con
 
 rt::CheckPlan check_plan(const StationConfiguration& configuration, Reference reference) {
   const CheckSettings& check = configuration.check;
-  const ParameterVector& theta = configuration.model.theta;
   rt::CheckPlan plan;
   plan.reference = std::move(reference);
-  plan.drive = {configuration.model.fixed.inertia_kg_m2,
-                configuration.model.fixed.ratio_m_rad,
-                theta[TC],
-                theta[Ts0],
-                theta[Tv],
-                theta[mus]};
+  plan.drive = nominal_drive(configuration.model);
   plan.repeats = static_cast<std::uint16_t>(check.repeats);
   plan.tare_s = check.tare_s;
   plan.approach_velocity_rad_s = check.approach_velocity_rad_s;

@@ -1,6 +1,5 @@
 #include "tools/clampd/control_server.hpp"
 
-#include <httplib.h>
 #include <sys/stat.h>
 
 #include <charconv>
@@ -10,6 +9,9 @@
 #include <openssl/crypto.h>
 
 #include "clampd/record/file.hpp"
+
+// Last: it brings in <resolv.h>, whose macro _res breaks Eigen's headers.
+#include <httplib.h>
 
 namespace clampd::daemon {
 

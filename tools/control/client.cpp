@@ -1,9 +1,11 @@
-#include <httplib.h>
+#include "tools/control/messages.hpp"
 
 #include <fmt/format.h>
 
 #include "clampd/record/file.hpp"
-#include "tools/control/messages.hpp"
+
+// Last: it brings in <resolv.h>, whose macro _res breaks Eigen's headers.
+#include <httplib.h>
 
 namespace clampd::control {
 
