@@ -1,0 +1,169 @@
+#include "clampd/experiment/manoeuvres.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+#include <vector>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "clampd/base/clock.hpp"
+#include "clampd/brake/dynamics.hpp"
+#include "clampd/brake/integrator.hpp"
+
+namespace clampd {
+namespace {
+
+constexpr double kTorqueLimit_Nm = 3.0;
+
+constexpr std::array kStep = {
+    ManoeuvreSegment{.duration_s = 0.24, .force_N = 20e3},
+    ManoeuvreSegment{.duration_s = 0.16, .force_N = 20e3},
+};
+constexpr std::array kApplyRelease = {
+    ManoeuvreSegment{.duration_s = 0.3, .force_N = 20e3},
+    ManoeuvreSegment{.duration_s = 0.2, .force_N = 20e3},
+    ManoeuvreSegment{.duration_s = 0.3},
+};
+constexpr std::array kSinusoid = {
+    ManoeuvreSegment{.duration_s = 0.15, .force_N = 5e3},
+    ManoeuvreSegment{.duration_s = 1.0, .force_N = 20e3, .cycles = 4},
+    ManoeuvreSegment{.duration_s = 0.2},
+};
+constexpr std::array kStaircase = {
+    ManoeuvreSegment{.duration_s = 0.15, .force_N = 5e3},
+    ManoeuvreSegment{.duration_s = 0.06, .force_N = 5e3},
+    ManoeuvreSegment{.duration_s = 0.10, .force_N = 10e3},
+    ManoeuvreSegment{.duration_s = 0.06, .force_N = 10e3},
+    ManoeuvreSegment{.duration_s = 0.10, .force_N = 15e3},
+    ManoeuvreSegment{.duration_s = 0.06, .force_N = 15e3},
+    ManoeuvreSegment{.duration_s = 0.10, .force_N = 20e3},
+    ManoeuvreSegment{.duration_s = 0.06, .force_N = 20e3},
+    ManoeuvreSegment{.duration_s = 0.10, .force_N = 15e3},
+    ManoeuvreSegment{.duration_s = 0.06, .force_N = 15e3},
+    ManoeuvreSegment{.duration_s = 0.10, .force_N = 10e3},
+    ManoeuvreSegment{.duration_s = 0.06, .force_N = 10e3},
+    ManoeuvreSegment{.duration_s = 0.10, .force_N = 5e3},
+    ManoeuvreSegment{.duration_s = 0.06, .force_N = 5e3},
+    ManoeuvreSegment{.duration_s = 0.15},
+};
+constexpr std::array kClearance = {
+    ManoeuvreSegment{.duration_s = 0.20, .opening_rad = 5.0},
+    ManoeuvreSegment{.duration_s = 0.10, .opening_rad = 0.5},
+    ManoeuvreSegment{.duration_s = 0.10, .opening_rad = 5.0},
+    ManoeuvreSegment{.duration_s = 0.20, .opening_rad = 0.5},
+    ManoeuvreSegment{.duration_s = 0.40, .opening_rad = 5.0},
+    ManoeuvreSegment{.duration_s = 0.40, .opening_rad = 0.5},
+};
+
+constexpr std::array<ManoeuvreInfo, 6> kManoeuvres = {{
+    {"optimal", "the shipped optimal trajectory", {}},
+    {"step", "to 20 kN in 0.24 s, hold", kStep},
+    {"apply-release", "to 20 kN, hold, and back, in 0.8 s", kApplyRelease},
+    {"sinusoid", "1 s at 4 Hz between 5 and 20 kN", kSinusoid},
+    {"staircase", "up to 20 kN and down again in steps of 5 kN", kStaircase},
+    {"clearance", "both directions at several speeds without force", kClearance},
+}};
+
+/// The smallest position from contact that has this force, or NaN where the brake never has it.
+double position_of(const PolynomialStiffness& stiffness, double force_N) {
+  double low = 0.0, high = 0.0;
+  constexpr double kStep_rad = 0.5, kFarthest_rad = 200.0;
+  while (stiffness.force_N(high) < force_N) {
+    low = high;
+    high += kStep_rad;
+    if (high > kFarthest_rad) return std::nan("");
+  }
+  for (int i = 0; i < 60; ++i) {
+    const double middle = 0.5 * (low + high);
+    (stiffness.force_N(middle) < force_N ? low : high) = middle;
+  }
+  return 0.5 * (low + high);
+}
+
+/// Positions wanted at each millisecond.
+std::vector<double> plan_positions(std::span<const ManoeuvreSegment> segments,
+                                   const PolynomialStiffness& stiffness) {
+  std::vector<double> positions_rad = {0.0};
+  for (const ManoeuvreSegment& segment : segments) {
+    const double from_rad = positions_rad.back();
+    const double from_N = stiffness.force_N(from_rad);
+    const double to_rad =
+        segment.force_N > 0.0 ? position_of(stiffness, segment.force_N) : -segment.opening_rad;
+    const auto rows = static_cast<int>(std::lround(segment.duration_s / kPeriod_s));
+    for (int k = 1; k <= rows; ++k) {
+      const double s = static_cast<double>(k) / rows;
+      if (segment.cycles > 0) {
+        const double share = 0.5 - 0.5 * std::cos(2.0 * std::numbers::pi * segment.cycles * s);
+        positions_rad.push_back(position_of(stiffness, from_N + share * (segment.force_N - from_N)));
+      } else {
+        positions_rad.push_back(from_rad + (to_rad - from_rad) * s * s * s * (10.0 + s * (-15.0 + 6.0 * s)));
+      }
+    }
+  }
+  return positions_rad;
+}
+
+/// The torque that, held for one row, brings the brake nearest to a velocity: the velocity reached never
+/// falls with it.
+double torque_for(const PaperBrake& brake, const BrakeParameters& nominal, const BrakeState& state,
+                  double velocity_rad_s) {
+  // At rest and to stay there: in the middle of what friction holds.
+  if (state[1] == 0.0 && velocity_rad_s == 0.0)
+    return nominal.fixed.ratio_m_rad * brake.stiffness().force_N(state[0]);
+  double low = -1.01 * kTorqueLimit_Nm, high = 1.01 * kTorqueLimit_Nm;
+  for (int i = 0; i < 50; ++i) {
+    const double middle = 0.5 * (low + high);
+    (advance(brake, state, middle, kPeriod_s)[1] < velocity_rad_s ? low : high) = middle;
+  }
+  return 0.5 * (low + high);
+}
+
+}  // namespace
+
+std::span<const ManoeuvreInfo> manoeuvres() {
+  return kManoeuvres;
+}
+
+Result<Run> make_manoeuvre(std::string_view name, const BrakeParameters& nominal, const Run& optimal) {
+  const auto found = std::find_if(kManoeuvres.begin(), kManoeuvres.end(),
+                                  [&](const ManoeuvreInfo& info) { return info.name == name; });
+  if (found == kManoeuvres.end()) {
+    std::vector<std::string_view> names;
+    for (const ManoeuvreInfo& info : kManoeuvres) names.push_back(info.name);
+    return failure(fmt::format("unknown manoeuvre '{}'; known are: {}", name, fmt::join(names, ", ")));
+  }
+  if (found->segments.empty()) return optimal;
+
+  const PaperBrake brake = paper_brake(nominal);
+  const std::vector<double> wanted_rad = plan_positions(found->segments, brake.stiffness());
+  Run run;
+  run.name = found->name;
+  BrakeState state = BrakeState::Zero();
+  for (std::size_t k = 0; k < wanted_rad.size(); ++k) {
+    if (!std::isfinite(wanted_rad[k]))
+      return failure(fmt::format("manoeuvre {}: the nominal brake cannot reach its forces", name));
+    const std::size_t next = std::min(k + 1, wanted_rad.size() - 1);
+    const std::size_t after = std::min(k + 2, wanted_rad.size() - 1);
+    // Central difference of the plan, and back onto it where the rows have drifted off.
+    double velocity_rad_s = 0.5 * (wanted_rad[after] - wanted_rad[k]) / kPeriod_s;
+    const bool holds = wanted_rad[k] == wanted_rad[next] && wanted_rad[next] == wanted_rad[after];
+    constexpr double kPull_per_s = 100.0;
+    if (!holds) velocity_rad_s += kPull_per_s * (wanted_rad[k] - state[0]);
+    const double torque_Nm = torque_for(brake, nominal, state, holds ? 0.0 : velocity_rad_s);
+    if (!(std::abs(torque_Nm) <= kTorqueLimit_Nm))
+      return failure(fmt::format("manoeuvre {}: at {} ms the nominal brake would need more than {} N m", name,
+                                 k, kTorqueLimit_Nm));
+    run.time_s.push_back(static_cast<double>(k) * kPeriod_s);
+    run.torque_Nm.push_back(torque_Nm);
+    run.velocity_rad_s.push_back(state[1]);
+    run.force_N.push_back(brake.stiffness().force_N(state[0]));
+    run.position_rad.push_back(state[0]);
+    state = advance(brake, state, torque_Nm, kPeriod_s);
+  }
+  return run;
+}
+
+}  // namespace clampd
