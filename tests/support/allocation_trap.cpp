@@ -7,7 +7,11 @@
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 #define CLAMPD_SANITIZED_HEAP 1
-#include <sanitizer/allocator_interface.h>
+// From sanitizer/allocator_interface.h, which GCC does not install. Returns 0 if there was no room for the
+// hooks.
+extern "C" int __sanitizer_install_malloc_and_free_hooks(void (*malloc_hook)(const volatile void*,
+                                                                             std::size_t),
+                                                         void (*free_hook)(const volatile void*));
 #endif
 
 namespace {
