@@ -17,7 +17,7 @@
 namespace clampd::rt {
 namespace {
 
-constexpr std::size_t kStackBytes = 512 * 1024;
+constexpr std::size_t kStackBytes = 2 * 1024 * 1024;
 constexpr std::size_t kStackPrefaultBytes = 256 * 1024;
 constexpr std::size_t kHeapPrefaultBytes = 16 * 1024 * 1024;
 
