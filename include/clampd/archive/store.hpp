@@ -39,8 +39,10 @@ class CheckStore {
  public:
   enum class Access { ReadWrite, ReadOnly };
 
-  /// Opens or (ReadWrite) creates the file and its folder, and brings its schema up to date.
-  static Result<CheckStore> open(const std::string& path, Access access = Access::ReadWrite);
+  /// Opens or (ReadWrite) creates the file and its folder, and brings its schema up to date. A lock held by
+  /// another process is waited for as long as `busy_timeout_ms`.
+  static Result<CheckStore> open(const std::string& path, Access access = Access::ReadWrite,
+                                 int busy_timeout_ms = 5000);
 
   CheckStore(CheckStore&&) noexcept;
   CheckStore& operator=(CheckStore&&) noexcept;

@@ -1,0 +1,113 @@
+#include "clampd/archive/json.hpp"
+
+#include <cmath>
+
+namespace clampd {
+namespace {
+
+using nlohmann::ordered_json;
+
+ordered_json number(double value) {
+  return std::isfinite(value) ? ordered_json(value) : ordered_json(nullptr);
+}
+
+ordered_json numbers(const std::vector<double>& values) {
+  ordered_json array = ordered_json::array();
+  for (const double value : values) array.push_back(number(value));
+  return array;
+}
+
+ordered_json parameter_json(const ParameterRecord& parameter) {
+  return {{"name", parameter.name},
+          {"unit", parameter.unit},
+          {"value", number(parameter.value)},
+          {"sd", number(parameter.sd)},
+          {"lower", number(parameter.lower)},
+          {"upper", number(parameter.upper)},
+          {"verdict", to_string(parameter.verdict)}};
+}
+
+ordered_json timing_json(const TimingRecord& timing) {
+  ordered_json histogram = ordered_json::array();  // [microseconds, ticks], bins without ticks left out
+  for (std::size_t i = 0; i < timing.lateness_histogram.size(); ++i)
+    if (timing.lateness_histogram[i] > 0) histogram.push_back({i, timing.lateness_histogram[i]});
+  return {{"ticks", timing.ticks},
+          {"skipped", timing.skipped},
+          {"lost_samples", timing.lost_samples},
+          {"lateness_us",
+           {{"min", number(timing.lateness_min_us)},
+            {"avg", number(timing.lateness_avg_us)},
+            {"max", number(timing.lateness_max_us)}}},
+          {"lateness_histogram_us", std::move(histogram)},
+          {"bus_load", number(timing.bus_load)}};
+}
+
+ordered_json run_json(const RunRecord& run) {
+  return {{"name", run.run.name},
+          {"rows", run.run.size()},
+          {"tracking_rms_N", number(run.tracking_rms_N)},
+          {"tracking_max_N", number(run.tracking_max_N)},
+          {"converged", run.converged},
+          {"estimate", numbers(run.estimate)},
+          {"fit",
+           {{"force_rms_N", number(run.fit_force_rms_N)},
+            {"velocity_rms_rad_s", number(run.fit_velocity_rms_rad_s)}}},
+          {"sha256", run.checksum_sha256}};
+}
+
+ordered_json matrix_json(const std::vector<double>& row_major) {
+  ordered_json matrix = ordered_json::array();
+  const auto size = static_cast<std::size_t>(std::lround(std::sqrt(static_cast<double>(row_major.size()))));
+  for (std::size_t row = 0; row < size; ++row) {
+    const auto begin = row_major.begin() + static_cast<std::ptrdiff_t>(row * size);
+    matrix.push_back(numbers({begin, begin + static_cast<std::ptrdiff_t>(size)}));
+  }
+  return matrix;
+}
+
+}  // namespace
+
+ordered_json check_json(const CheckRecord& record) {
+  ordered_json parameters = ordered_json::array();
+  for (const ParameterRecord& parameter : record.parameters) parameters.push_back(parameter_json(parameter));
+  ordered_json runs = ordered_json::array();
+  for (const RunRecord& run : record.runs) runs.push_back(run_json(run));
+  ordered_json instruments = ordered_json::parse(record.instruments, nullptr, false);
+  if (instruments.is_discarded()) instruments = ordered_json::array();
+
+  return {
+      {"schema", "clampd.check/1"},
+      {"serial", record.serial},
+      {"verdict", to_string(record.verdict)},
+      {"marginal", record.marginal},
+      {"reason", record.reason},
+      {"repeats", record.repeats},
+      {"parameters", std::move(parameters)},
+      {"timing", timing_json(record.timing)},
+      {"tracking_rms_N", number(record.tracking_rms_N)},
+      {"started", record.started},
+      {"duration_s", number(record.duration_s)},
+      {"cause", nullptr},
+      {"record", record.id},
+      {"stopped", record.stopped},
+      {"simulated", record.simulated},
+      {"part_number", record.part_number},
+      {"batch", record.batch},
+      {"station", record.station},
+      {"fixture", record.fixture},
+      {"operator", record.operator_name},
+      {"software_version", record.software_version},
+      {"limits",
+       {{"file", record.limits_file},
+        {"revision", record.limits_revision},
+        {"sha256", record.limits_sha256}}},
+      {"trajectory_sha256", record.trajectory_sha256},
+      {"instruments", std::move(instruments)},
+      {"fault", to_string(record.fault)},
+      {"noise",
+       {{"force_N", number(record.noise_force_N)}, {"velocity_rad_s", number(record.noise_velocity_rad_s)}}},
+      {"covariance_normalised", matrix_json(record.covariance_normalised)},
+      {"runs", std::move(runs)}};
+}
+
+}  // namespace clampd
