@@ -110,4 +110,19 @@ ordered_json check_json(const CheckRecord& record) {
       {"runs", std::move(runs)}};
 }
 
+nlohmann::ordered_json summaries_json(const std::vector<CheckSummary>& checks) {
+  ordered_json list = ordered_json::array();
+  for (const CheckSummary& check : checks)
+    list.push_back({{"record", check.id},
+                    {"serial", check.serial},
+                    {"started", check.started},
+                    {"verdict", to_string(check.verdict)},
+                    {"marginal", check.marginal},
+                    {"simulated", check.simulated},
+                    {"repeats", check.repeats},
+                    {"duration_s", number(check.duration_s)},
+                    {"reason", check.reason}});
+  return {{"schema", "clampd.checks/1"}, {"checks", std::move(list)}};
+}
+
 }  // namespace clampd

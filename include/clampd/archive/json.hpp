@@ -1,12 +1,18 @@
 #pragma once
 
+#include <vector>
+
 #include <nlohmann/json.hpp>
 
+#include "clampd/archive/store.hpp"
 #include "clampd/record/check_record.hpp"
 
 namespace clampd {
 
 /// The document of `clampctl run --json`, schema clampd.check/1. Numbers that are not finite become null.
 nlohmann::ordered_json check_json(const CheckRecord& record);
+
+/// The document of `clampctl results --json`, schema clampd.checks/1.
+nlohmann::ordered_json summaries_json(const std::vector<CheckSummary>& checks);
 
 }  // namespace clampd
