@@ -124,7 +124,7 @@ class Search {
   template <class Task>
   std::vector<Candidate> in_parallel(std::size_t count, const Task& task);
   void select(std::vector<Candidate>&& found);
-  void report() const;
+  void report(bool done) const;
 
   const DesignOptions& options_;
   std::vector<DesignProblem> problems_;
@@ -256,9 +256,10 @@ void Search::select(std::vector<Candidate>&& found) {
   }
 }
 
-void Search::report() const {
+void Search::report(bool done) const {
   if (!options_.progress) return;
-  options_.progress(static_cast<double>(task_) / static_cast<double>(total_ + kElite),
+  // The polish at the end has at most kElite tasks.
+  options_.progress(done ? 1.0 : static_cast<double>(task_) / static_cast<double>(total_ + kElite),
                     elite_.empty() ? kInfinity : elite_.front().objective);
 }
 
@@ -272,7 +273,7 @@ void Search::run() {
     else
       select(in_parallel(count,
                          [this](auto& problem, auto& random, std::size_t) { return vary(problem, random); }));
-    report();
+    report(false);
   }
   const std::vector<Candidate> rough = elite_;
   select(in_parallel(rough.size(), [&rough](DesignProblem& problem, std::mt19937_64&, std::size_t i) {
@@ -280,7 +281,7 @@ void Search::run() {
     improve(problem, candidate, kPolishEvaluations);
     return candidate;
   }));
-  report();
+  report(true);
 }
 
 }  // namespace
