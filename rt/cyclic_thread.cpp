@@ -39,13 +39,15 @@ void prefault_stack() noexcept {
 }
 
 // Keeps freed memory in the process, so that what is locked and mapped now never has to be mapped again.
-void prefault_heap() noexcept {
+// False if there is no such memory, which with locked memory means that RLIMIT_MEMLOCK is too small.
+bool prefault_heap() noexcept {
   mallopt(M_TRIM_THRESHOLD, -1);
   mallopt(M_MMAP_MAX, 0);
-  if (auto* heap = static_cast<volatile unsigned char*>(std::malloc(kHeapPrefaultBytes))) {
-    for (std::size_t i = 0; i < kHeapPrefaultBytes; i += 4096) heap[i] = 0;
-    std::free(const_cast<unsigned char*>(heap));
-  }
+  void* heap = std::malloc(kHeapPrefaultBytes);
+  if (heap == nullptr) return false;
+  explicit_bzero(heap, kHeapPrefaultBytes);
+  std::free(heap);
+  return true;
 }
 
 // Held open at zero, this file keeps the processor out of deep sleep states; cyclictest does the same.
@@ -92,13 +94,15 @@ Result<void> CyclicThread::start(const CyclicThreadSettings& settings, const Tar
   if (running_) return failure("real-time thread: it runs already; stop it first");
   if (auto valid = settings.validate(); !valid) return valid;
   if (settings.lock_memory) {
-    if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0) {
+    const bool locked = mlockall(MCL_CURRENT | MCL_FUTURE) == 0;
+    const std::string reason = std::strerror(locked ? ENOMEM : errno);
+    if (!locked || !prefault_heap()) {
+      munlockall();
       return failure(
-          std::string("real-time thread: cannot lock memory (") + std::strerror(errno) +
+          "real-time thread: cannot lock memory (" + reason +
           "); raise RLIMIT_MEMLOCK (LimitMEMLOCK=infinity in the systemd unit, memlock in limits.conf) or "
           "grant CAP_IPC_LOCK, or set lock_memory = false for development");
     }
-    prefault_heap();
   }
 
   pthread_attr_t attributes;
