@@ -26,6 +26,10 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 /// Stands for the cost where the model cannot be simulated, so that the solver steps back.
 constexpr double kImpossible = 1e30;
 
+/// A standard deviation of so many times the nominal value: the runs say nothing about the parameter, and the
+/// linear covariance itself means nothing any more.
+constexpr double kUndetermined = 3.0;
+
 /// Fewer clusters do not span seven parameters.
 constexpr std::size_t kFewestRunsForSandwich = 8;
 
@@ -515,6 +519,14 @@ OutputErrorSummary identify_output_error(std::span<const Run> runs, const Output
         Termination::NotIdentifiable,
         fmt::format("{} ran into its bound: the runs do not determine it, or the model does not fit them",
                     kParameterTable[*bound].name));
+  Eigen::Index vaguest = 0;
+  const double variance = uncertainty.covariance.diagonal().maxCoeff(&vaguest);
+  if (variance > kUndetermined * kUndetermined)
+    return end(
+        Termination::NotIdentifiable,
+        fmt::format(
+            "the runs do not determine {}: its standard deviation would be {:.0f} times its nominal value",
+            kParameterTable[static_cast<std::size_t>(vaguest)].name, std::sqrt(variance)));
   summary.covariance_normalised = uncertainty.covariance;
   summary.covariance_normalised_over_runs = uncertainty.covariance_over_runs;
   if (!attempt.settled)

@@ -28,10 +28,15 @@ Portmanteau portmanteau(std::span<const double> residuals, int lags) {
   const auto count = static_cast<int>(residuals.size());
   result.lags = std::clamp(lags, 0, std::max(0, count / 4));
   double mean = 0.0;
-  for (const double residual : residuals) mean += residual / count;
+  double square = 0.0;
+  for (const double residual : residuals) {
+    mean += residual / count;
+    square += residual * residual;
+  }
   double variance = 0.0;
   for (const double residual : residuals) variance += (residual - mean) * (residual - mean);
-  if (result.lags == 0 || !(variance > 0.0)) return result;
+  // Of a constant series only the rounding of its mean is left.
+  if (result.lags == 0 || !(variance > 1e-24 * square)) return result;
   for (int lag = 1; lag <= result.lags; ++lag) {
     double product = 0.0;
     for (int k = lag; k < count; ++k)
