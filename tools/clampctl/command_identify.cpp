@@ -21,8 +21,8 @@ struct IdentifyOptions {
   std::string json;
 };
 
-nlohmann::json number_or_null(double value) {
-  return std::isfinite(value) ? nlohmann::json(value) : nlohmann::json(nullptr);
+nlohmann::ordered_json number_or_null(double value) {
+  return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json(nullptr);
 }
 
 /// Repeats show what the torque reading's noise does to the estimates, which the Cramér-Rao figure cannot know:
