@@ -33,13 +33,13 @@ constexpr double kUndetermined = 3.0;
 /// Fewer clusters do not span seven parameters.
 constexpr std::size_t kFewestRunsForSandwich = 8;
 
-/// Change of the sum of squared weighted residuals at which a fit ends: 0.03 standard deviations of an
-/// estimate. The cost has faint kinks, where a stop crosses a sample, that make a finer search bounce.
+/// Change of the sum of squared weighted residuals, per run, at which a fit ends: 0.03 standard deviations of an
+/// estimate. The cost has faint kinks in each run, where a stop crosses a sample, that make a finer search bounce.
 constexpr double kCostTolerance = 1e-3;
 
-/// The noise is re-estimated until it changes by less than this share.
+/// The noise is re-estimated after so many iterations, until it changes by less than this share.
 constexpr double kNoiseTolerance = 1e-4;
-constexpr int kNoiseUpdates = 12;
+constexpr int kRoundIterations = 8;
 
 /// More attempts from other starts follow if a fit's residuals exceed the noise seen without a model this
 /// often.
@@ -264,7 +264,8 @@ struct Attempt {
   SensorNoise noise;
   double score =
       std::numeric_limits<double>::infinity();  ///< negative log-likelihood per row; infinite if impossible
-  bool settled = false;  ///< neither the solver nor the noise ran into its iteration limit
+  bool settled = false;  ///< neither cost nor noise changed any more before the iterations ran out
+  int iterations = 0;
 };
 
 class Solver {
@@ -280,24 +281,28 @@ class Solver {
     result.unknowns = fit_.start_from(theta);
     fit_.set_noise(known_or(seen_));
     auto& solver_options = solver_.options;
-    solver_options.function_tolerance = kCostTolerance;
+    const double cost_tolerance = kCostTolerance * static_cast<double>(runs_.size());
+    solver_options.function_tolerance = cost_tolerance;
     solver_options.parameter_tolerance = 1e-9;
-    int budget = options_.max_iterations;
-    for (int update = 0; update < kNoiseUpdates && budget > 0; ++update) {
-      solver_options.max_num_iterations = budget;
+    // In short rounds: at a kink of the cost the solver may bounce to its limit without gaining anything, and that
+    // is an end as good as the solver's own.
+    for (int used = 0; used < options_.max_iterations && !result.settled;) {
+      solver_options.max_num_iterations = std::min(kRoundIterations, options_.max_iterations - used);
+      const double cost_before = cost_of(result.unknowns);
       solver_.Solve(fit_, &result.unknowns);
-      iterations_ += solver_.summary.iterations;
-      budget -= solver_.summary.iterations;
-      if (!fit_.evaluate(result.unknowns.data())) return result;
-      const bool solved = solver_.summary.status != decltype(solver_)::HIT_MAX_ITERATIONS;
+      used += std::max(solver_.summary.iterations, 1);
+      const double cost_after = cost_of(result.unknowns);
+      if (!fit_.evaluate(result.unknowns.data())) break;
       const SensorNoise before = fit_.noise();
       const SensorNoise after = known_or(fit_.residual_noise());
       fit_.set_noise(after);
       const double change = std::max(std::abs(after.force_N / before.force_N - 1.0),
                                      std::abs(after.velocity_rad_s / before.velocity_rad_s - 1.0));
-      result.settled = solved && change < kNoiseTolerance;
-      if (result.settled) break;
+      result.settled = cost_before - cost_after < cost_tolerance && change < kNoiseTolerance;
+      result.iterations = used;
     }
+    iterations_ += result.iterations;
+    if (!fit_.evaluate(result.unknowns.data())) return result;
     result.noise = fit_.noise();
     const SensorNoise residual = fit_.residual_noise();
     const double force = residual.force_N / result.noise.force_N;
@@ -352,6 +357,10 @@ class Solver {
   int iterations() const { return iterations_; }
 
  private:
+  double cost_of(const Eigen::VectorXd& unknowns) const {
+    return fit_.evaluate(unknowns.data()) ? fit_.squared_cost() : kImpossible;
+  }
+
   SensorNoise known_or(const SensorNoise& estimate) const {
     return {options_.noise_force_N.value_or(std::max(estimate.force_N, kSmallestNoise.force_N)),
             options_.noise_velocity_rad_s.value_or(

@@ -12,7 +12,7 @@ namespace clampd {
 
 struct OutputErrorOptions {
   BrakeParameters start;  ///< theta: initial guess; fixed: J and N as known
-  int max_iterations = 50;
+  int max_iterations = 100;  ///< from each start
   /// Sensor noise, if known. Otherwise both are estimated with the parameters by (9).
   std::optional<double> noise_force_N;
   std::optional<double> noise_velocity_rad_s;
