@@ -33,8 +33,8 @@ constexpr double kUndetermined = 3.0;
 /// Fewer clusters do not span seven parameters.
 constexpr std::size_t kFewestRunsForSandwich = 8;
 
-/// Change of the sum of squared weighted residuals, per run, at which a fit ends: 0.03 standard deviations of an
-/// estimate. The cost has faint kinks in each run, where a stop crosses a sample, that make a finer search bounce.
+/// Change of the sum of squared weighted residuals at which a fit ends: a last step of 0.03 standard
+/// deviations. The cost has faint kinks, where a stop crosses a sample, that make a finer search bounce.
 constexpr double kCostTolerance = 1e-3;
 
 /// The noise is re-estimated after so many iterations, until it changes by less than this share.
@@ -77,6 +77,9 @@ struct RunNormal {
   using Matrix = Eigen::Matrix<double, kColumns + 1, kColumns + 1>;
   Matrix force;
   Matrix velocity;
+  /// Column sums of the sensitivities: the gradient's change with an error common to all readings.
+  Eigen::Matrix<double, kColumns, 1> force_sum;
+  Eigen::Matrix<double, kColumns, 1> velocity_sum;
 };
 
 /// The weighted residuals of all runs as a function of the unknowns, for ceres::TinySolver. Each run's 2n
@@ -174,6 +177,8 @@ class JointFit {
       velocity_residuals_.head(rows) = model_velocity - velocity;
       accumulate(buffer.force_sensitivity, force_residuals_.head(rows), normals_[r].force);
       accumulate(buffer.velocity_sensitivity, velocity_residuals_.head(rows), normals_[r].velocity);
+      normals_[r].force_sum = buffer.force_sensitivity.colwise().sum().transpose();
+      normals_[r].velocity_sum = buffer.velocity_sensitivity.colwise().sum().transpose();
     }
     possible_ = true;
     return true;
@@ -194,6 +199,15 @@ class JointFit {
       normal(kColumns, kColumns) += weight * distance * distance;
     }
     return normal;
+  }
+
+  /// R^-1-weighted right-hand sides of a run for a unit offset of all its force readings, of all its
+  /// velocities.
+  Eigen::Matrix<double, kColumns, 2> weighted_offsets(std::size_t r) const {
+    Eigen::Matrix<double, kColumns, 2> offsets;
+    offsets << normals_[r].force_sum / (noise_.force_N * noise_.force_N),
+        normals_[r].velocity_sum / (noise_.velocity_rad_s * noise_.velocity_rad_s);
+    return offsets;
   }
 
   double squared_cost() const {
@@ -284,8 +298,8 @@ class Solver {
     const double cost_tolerance = kCostTolerance * static_cast<double>(runs_.size());
     solver_options.function_tolerance = cost_tolerance;
     solver_options.parameter_tolerance = 1e-9;
-    // In short rounds: at a kink of the cost the solver may bounce to its limit without gaining anything, and that
-    // is an end as good as the solver's own.
+    // In short rounds: at a kink of the cost the solver may bounce to its limit without gaining anything, and
+    // that is an end as good as the solver's own.
     for (int used = 0; used < options_.max_iterations && !result.settled;) {
       solver_options.max_num_iterations = std::min(kRoundIterations, options_.max_iterations - used);
       const double cost_before = cost_of(result.unknowns);
@@ -420,6 +434,7 @@ struct Uncertainty {
   ParameterMatrix information = ParameterMatrix::Zero();
   ParameterMatrix covariance;
   ParameterMatrix covariance_over_runs = ParameterMatrix::Constant(kNaN);
+  OffsetSensitivity offset_sensitivity = OffsetSensitivity::Zero();
 };
 
 Uncertainty uncertainty_of(const JointFit& fit, std::size_t runs) {
@@ -434,8 +449,11 @@ Uncertainty uncertainty_of(const JointFit& fit, std::size_t runs) {
     const ParameterVector score =
         normal.block<kTheta, 1>(0, kColumns) - elimination * normal.block<2, 1>(kTheta, kColumns);
     scatter += score * score.transpose();
+    const Eigen::Matrix<double, kColumns, 2> offsets = fit.weighted_offsets(r);
+    result.offset_sensitivity += offsets.topRows<kTheta>() - elimination * offsets.middleRows<2>(kTheta);
   }
   result.covariance = cramer_rao(result.information);
+  result.offset_sensitivity = (result.covariance * result.offset_sensitivity).eval();
   if (runs >= kFewestRunsForSandwich) {
     const auto count = static_cast<double>(runs);
     result.covariance_over_runs = count / (count - 1.0) * result.covariance * scatter * result.covariance;
@@ -485,6 +503,7 @@ OutputErrorSummary identify_output_error(std::span<const Run> runs, const Output
   summary.parameters.theta.setConstant(kNaN);
   summary.covariance_normalised.setConstant(kNaN);
   summary.covariance_normalised_over_runs.setConstant(kNaN);
+  summary.offset_sensitivity.setConstant(kNaN);
   summary.noise_force_N = summary.noise_velocity_rad_s = kNaN;
   summary.force_rms_N = summary.velocity_rms_rad_s = kNaN;
   const auto end = [&](Termination termination, std::string message) {
@@ -538,6 +557,7 @@ OutputErrorSummary identify_output_error(std::span<const Run> runs, const Output
             kParameterTable[static_cast<std::size_t>(vaguest)].name, std::sqrt(variance)));
   summary.covariance_normalised = uncertainty.covariance;
   summary.covariance_normalised_over_runs = uncertainty.covariance_over_runs;
+  summary.offset_sensitivity = uncertainty.offset_sensitivity;
   if (!attempt.settled)
     return end(Termination::IterationLimit,
                fmt::format("still improving after {} iterations from each start", options.max_iterations));
