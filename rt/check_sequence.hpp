@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 
 #include "clampd/base/realtime.hpp"
@@ -17,7 +18,7 @@ struct CheckPlan {
   Reference reference;
   NominalDrive drive;
   std::uint16_t repeats = 20;
-  double tare_s = 0.2;  ///< rest in the clearance for the offsets
+  double tare_s = 0.5;  ///< rest in the clearance for the offsets
   double approach_velocity_rad_s = 20.0;
   double contact_force_N = 300.0;  ///< contact is found when the tared force passes this; the pads are then
                                    ///< closed to five times as much, to learn where exactly they touch
@@ -57,6 +58,12 @@ class CheckSequence {
  private:
   enum class Stage : std::uint8_t { Open, Rest, Tare, Approach, Return, Settle, Trajectory, Release, Done };
 
+  struct ForcePair {
+    double force_N = 0.0;  ///< tared
+    double position_rad = 0.0;
+  };
+
+  CLAMPD_REALTIME const ForcePair& median_pair(const ForcePair& newest) noexcept;
   CLAMPD_REALTIME double decide(const BrakeFeedback& feedback) noexcept;
   CLAMPD_REALTIME double open() noexcept;
   CLAMPD_REALTIME double rest() noexcept;
@@ -85,10 +92,12 @@ class CheckSequence {
   double force_offset_N_ = 0.0;
   double velocity_offset_rad_s_ = 0.0;
   double smooth_force_N_ = 0.0;
+  std::array<ForcePair, 3> pairs_{};  ///< the last three, oldest first
 
   /// Mean force over the last stretches of opening.
   struct Stretch {
     double begin_rad = 0.0;
+    double moved_rad = 0.0;  ///< where it was when it last was seen moving
     double sum_N = 0.0;
     int samples = 0;
     double before_N = 0.0;  ///< mean of the stretch before

@@ -121,6 +121,12 @@ ParameterVector reported_sd_normalised(const OutputErrorSummary& joint, const st
   return sd.cwiseMax((squares / (n * (n - 1.0))).cwiseSqrt());
 }
 
+ParameterVector tare_sd_normalised(const OutputErrorSummary& joint, const Tare& tare) {
+  const double mean_of = std::sqrt(static_cast<double>(std::max<std::uint64_t>(tare.samples, 1)));
+  const Eigen::Vector2d offset_sd(tare.force_sd_N / mean_of, tare.velocity_sd_rad_s / mean_of);
+  return (joint.offset_sensitivity * offset_sd.asDiagonal()).rowwise().norm();
+}
+
 CheckSession::CheckSession(const StationConfiguration& configuration, const LimitSet& limits,
                            const CheckRequest& request, const CheckContext& context, Estimator estimator,
                            WorkerMode mode)
@@ -197,7 +203,10 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   if (facts.estimated) {
     const ParameterVector nominal = nominal_parameters();
     facts.estimate = joint.parameters.theta;
-    facts.sd = reported_sd_normalised(joint, record.runs).cwiseProduct(nominal.cwiseAbs());
+    facts.sd = (reported_sd_normalised(joint, record.runs).cwiseAbs2() +
+                tare_sd_normalised(joint, collector_.tare()).cwiseAbs2())
+                   .cwiseSqrt()
+                   .cwiseProduct(nominal.cwiseAbs());
     const ExpectedResidual expected = expected_residual(collector_.tare(), record.runs, configuration_.model,
                                                         configuration_.validity.torque_noise_Nm);
     facts.misfit_force = ratio(joint.force_rms_N, expected.force_N);

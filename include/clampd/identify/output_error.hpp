@@ -23,6 +23,9 @@ struct OutputErrorOptions {
 enum class Termination { Converged, IterationLimit, NotIdentifiable, NumericalFailure };
 std::string_view to_string(Termination termination) noexcept;
 
+/// d theta / theta_nom by an error common to all force readings (per N) and to all velocity readings (per rad/s).
+using OffsetSensitivity = Eigen::Matrix<double, static_cast<int>(kParameterCount), 2>;
+
 /// Result of the output error method (Procedure 2) on one or several runs.
 struct OutputErrorSummary {
   Termination termination = Termination::NumericalFailure;
@@ -33,6 +36,8 @@ struct OutputErrorSummary {
   ParameterMatrix covariance_normalised;  ///< of theta / theta_nom, Cramér-Rao (white sensor noise, exact torque)
   /// Cluster-robust (sandwich) covariance over runs, also honest under torque noise; NaN for fewer than 8 runs.
   ParameterMatrix covariance_normalised_over_runs;
+  /// What a wrong tare does to the estimate; repeats that share a tare cannot show it by their scatter.
+  OffsetSensitivity offset_sensitivity = OffsetSensitivity::Zero();
   std::vector<Eigen::Vector2d> initial_states;  ///< per run: position from contact (rad), velocity (rad/s)
   double noise_force_N = 0.0;          ///< estimated sd, by (9)
   double noise_velocity_rad_s = 0.0;

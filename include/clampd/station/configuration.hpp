@@ -64,7 +64,7 @@ struct SupervisorSettings {
 struct CheckSettings {
   std::uint32_t repeats = 20;
   std::string trajectory;  ///< run file; empty: the trajectory that ships with the station
-  double tare_s = 0.2;
+  double tare_s = 0.5;
   double approach_velocity_rad_s = 20.0;
   double contact_force_N = 300.0;
   double clearance_rad = 6.0;

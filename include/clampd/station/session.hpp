@@ -17,11 +17,11 @@ namespace clampd {
 
 /// What the operator asks for. Empty texts: as configured.
 struct CheckRequest {
-  std::string serial;
+  std::string serial = {};
   std::uint32_t repeats = 0;  ///< 0: as configured
-  std::string operator_name;
-  std::string part_number;
-  std::string batch;
+  std::string operator_name = {};
+  std::string part_number = {};
+  std::string batch = {};
 };
 
 /// Bounds of a request, checked before anything moves: a serial of 1 to 80 printable characters, 1 to 200
@@ -87,5 +87,9 @@ class CheckSession {
 /// parameter the largest of the Cramér-Rao figure (which takes the torque as exact), the sandwich over the
 /// runs (from 8 runs on) and, for 3 to 7 runs, the standard error of the runs' own estimates.
 ParameterVector reported_sd_normalised(const OutputErrorSummary& joint, const std::vector<RunRecord>& runs);
+
+/// What the tare's own uncertainty adds to it (normalised, in quadrature): all repeats share one tare, so that their
+/// scatter does not show it.
+ParameterVector tare_sd_normalised(const OutputErrorSummary& joint, const Tare& tare);
 
 }  // namespace clampd
