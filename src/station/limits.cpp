@@ -21,7 +21,7 @@ constexpr std::array<LimitInterval, kParameterCount> kDefaultNormalised{{
     {0.70, 1.30},  // k1
     {0.85, 1.15},  // k2
     {0.50, 2.00},  // TC
-    {0.50, 1.50},  // Ts0
+    {0.30, 1.70},  // Ts0
     {0.25, 3.00},  // Tv
     {0.75, 1.25},  // mus
     {0.25, 2.00},  // ws
