@@ -118,7 +118,8 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
   station.configuration = configuration;
 
   Result<LimitSet> limits =
-      configuration.limits_file.empty() ? Result<LimitSet>(default_limits()) : read_limits(configuration.limits_file);
+      configuration.limits_file.empty() ? parse_limits(std::string(kBuiltinLimits), "built-in limits.toml")
+                                        : read_limits(configuration.limits_file);
   if (!limits) return tl::unexpected(limits.error());
   station.limits = std::move(*limits);
 
