@@ -15,7 +15,7 @@ constexpr double kStretch_rad = 0.7;       // of opening over which the force is
 constexpr double kStretchDrop_N = 60.0;    // the force still falls: pads in contact
 constexpr double kOpenMargin_rad = 1.5;    // on from where the force no longer falls
 constexpr int kStallSamples = 50;          // still, though driven: at the end stop
-constexpr double kStallSpeed_rad_s = 1.0;
+constexpr double kStallTravel_rad = 0.05;
 constexpr int kRestSamples = 10;
 constexpr double kRestSpeed_rad_s = 1.0;
 constexpr double kLearnFactor = 5.0;  // times contact_force_N: how far the approach goes on
@@ -87,8 +87,9 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
   if (!started_) {
     started_ = true;
     stage_start_ = feedback.sample_index;
-    stretch_.begin_rad = feedback.position_rad;
+    stretch_.begin_rad = stretch_.moved_rad = feedback.position_rad;
     smooth_force_N_ = force_N_;
+    pairs_.fill({force_N_, feedback.position_rad});
     observer_.reset(feedback.position_rad);
   } else {
     // The observer stands at the sample after the last one; a gap is bridged with the torque that acted
@@ -98,11 +99,12 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
       observer_.reset(feedback.position_rad);
     else if (gap > 0)
       observer_.predict(plan_->drive, last_.torque_Nm, force_N_, static_cast<int>(gap));
-    smooth_force_N_ += 0.3 * (force_N_ - smooth_force_N_);
   }
   index_ = feedback.sample_index;
   observer_.correct(feedback.position_rad, velocity_rad_s);
-  if (contact_known_) stiffness_.learn(feedback.position_rad, force_N_);
+  const ForcePair& pair = median_pair({force_N_, feedback.position_rad});
+  smooth_force_N_ += 0.3 * (pair.force_N - smooth_force_N_);
+  if (contact_known_) stiffness_.learn(pair.position_rad, pair.force_N, observer_.velocity_rad_s());
   observer_.predict(plan_->drive, feedback.torque_Nm, std::max(0.0, force_N_), 1);
 
   output.phase = phase();
@@ -126,6 +128,16 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
   }
   last_ = output;
   return output;
+}
+
+// Of the last three: a single spike is never taken for contact, nor learned.
+const CheckSequence::ForcePair& CheckSequence::median_pair(const ForcePair& newest) noexcept {
+  pairs_ = {pairs_[1], pairs_[2], newest};
+  const auto between = [this](std::size_t i, std::size_t a, std::size_t b) {
+    return std::min(pairs_[a].force_N, pairs_[b].force_N) <= pairs_[i].force_N &&
+           pairs_[i].force_N <= std::max(pairs_[a].force_N, pairs_[b].force_N);
+  };
+  return between(1, 0, 2) ? pairs_[1] : between(2, 0, 1) ? pairs_[2] : pairs_[0];
 }
 
 double CheckSequence::decide(const BrakeFeedback& feedback) noexcept {
@@ -156,7 +168,11 @@ double CheckSequence::decide(const BrakeFeedback& feedback) noexcept {
 // Opens until the force no longer falls along the way. The tare is not known yet, so only differences count.
 double CheckSequence::open() noexcept {
   const double force_N = std::max(0.0, smooth_force_N_);
-  still_samples_ = std::abs(observer_.velocity_rad_s()) < kStallSpeed_rad_s ? still_samples_ + 1 : 0;
+  ++still_samples_;
+  if (std::abs(observer_.position_rad() - stretch_.moved_rad) > kStallTravel_rad) {
+    stretch_.moved_rad = observer_.position_rad();
+    still_samples_ = 0;
+  }
   stretch_.sum_N += force_N_;
   ++stretch_.samples;
   const double travelled_rad = stretch_.begin_rad - observer_.position_rad();
@@ -198,6 +214,7 @@ double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
   force_offset_N_ = sum_force_N_ / tare_samples_;
   velocity_offset_rad_s_ = sum_velocity_rad_s_ / tare_samples_;
   smooth_force_N_ = 0.0;
+  pairs_.fill({0.0, feedback.position_rad});
   observer_.reset(feedback.position_rad);
   enter(Stage::Approach);
   return 0.0;

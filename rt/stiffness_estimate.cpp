@@ -7,14 +7,16 @@ namespace clampd::rt {
 namespace {
 
 constexpr double kForceVariance_N2 = 75.0 * 75.0;
-constexpr double kModelError = 0.01;  // of the force: shapes that the cubic cannot take
-constexpr double kQuadraticStartVariance = 0.15 * 0.15;
-constexpr double kCubicStartVariance = 0.3 * 0.3;
-constexpr double kContactStartVariance_rad2 = 0.4 * 0.4;
+constexpr double kModelError = 0.01;        // of the force: shapes that the cubic cannot take
+constexpr double kReadingDelay_s = 0.5e-3;  // between force and position, trusted no better than this
+constexpr double kQuadraticStartVariance = 0.12 * 0.12;
+constexpr double kCubicStartVariance = 0.2 * 0.2;
+constexpr double kContactStartVariance_rad2 = 0.3 * 0.3;
+constexpr double kContactReach_rad = 1.0;  // from where the slow approach found it
 // Per sample: keeps the filter awake for what drifts (wear-in, hysteresis, relaxation).
 constexpr double kScaleStepVariance = 1e-3 * 1e-3;
 constexpr double kContactStepVariance_rad2 = 1e-3 * 1e-3;
-constexpr double kOutlier_sd = 8.0;
+constexpr double kReach_sd = 4.0;
 
 }  // namespace
 
@@ -23,6 +25,7 @@ void StiffnessEstimate::start(const NominalDrive& drive, double position_rad, do
   quadratic_nominal_ = drive.quadratic_N_rad2;
   cubic_ = quadratic_ = 1.0;
   contact_rad_ = position_rad - std::sqrt(std::max(0.0, force_N) / quadratic_nominal_);
+  found_rad_ = contact_rad_;
   for (auto& row : covariance_)
     for (double& entry : row) entry = 0.0;
   covariance_[0][0] = kQuadraticStartVariance;
@@ -30,24 +33,28 @@ void StiffnessEstimate::start(const NominalDrive& drive, double position_rad, do
   covariance_[2][2] = kContactStartVariance_rad2;
 }
 
-void StiffnessEstimate::learn(double position_rad, double force_N) noexcept {
+void StiffnessEstimate::learn(double position_rad, double force_N, double velocity_rad_s) noexcept {
   const double u = position_rad - contact_rad_;
   if (u < 0.5) return;  // hardly any force, hardly any information
   const double slope[3] = {quadratic_nominal_ * u * u, cubic_nominal_ * u * u * u, -slope_N_rad(u)};
   double product[3];
   const double expected_N = this->force_N(u);
-  double total = kForceVariance_N2 + std::pow(kModelError * expected_N, 2);
+  const double delay_N = slope[2] * velocity_rad_s * kReadingDelay_s;
+  const double model_N = kModelError * expected_N;
+  double total = kForceVariance_N2 + model_N * model_N + delay_N * delay_N;
   for (int i = 0; i < 3; ++i) {
     product[i] = 0.0;
     for (int j = 0; j < 3; ++j) product[i] += covariance_[i][j] * slope[j];
     total += slope[i] * product[i];
   }
-  const double innovation_N = force_N - expected_N;
-  if (innovation_N * innovation_N > kOutlier_sd * kOutlier_sd * total) return;
+  // A spike shall not move much; but what is wrong for long must be learned, so nothing is refused.
+  const double reach_N = kReach_sd * std::sqrt(total);
+  const double innovation_N = std::clamp(force_N - expected_N, -reach_N, reach_N);
   const double step = innovation_N / total;
-  quadratic_ = std::clamp(quadratic_ + product[0] * step, 0.4, 1.8);
-  cubic_ = std::clamp(cubic_ + product[1] * step, 0.0, 2.5);
-  contact_rad_ += product[2] * step;
+  quadratic_ = std::clamp(quadratic_ + product[0] * step, 0.6, 1.5);
+  cubic_ = std::clamp(cubic_ + product[1] * step, 0.4, 1.6);
+  contact_rad_ = std::clamp(contact_rad_ + product[2] * step, found_rad_ - kContactReach_rad,
+                            found_rad_ + kContactReach_rad);
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) covariance_[i][j] -= product[i] * product[j] / total;
   covariance_[0][0] = std::min(covariance_[0][0] + kScaleStepVariance, kQuadraticStartVariance);

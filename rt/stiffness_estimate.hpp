@@ -13,8 +13,8 @@ class StiffnessEstimate {
  public:
   /// Contact was just found: `force_N` (tared, smoothed) at the encoder reading `position_rad`.
   CLAMPD_REALTIME void start(const NominalDrive& drive, double position_rad, double force_N) noexcept;
-  /// A pair of readings of the same instant.
-  CLAMPD_REALTIME void learn(double position_rad, double force_N) noexcept;
+  /// A pair of readings of the same instant; the faster the motor, the less a pair is trusted.
+  CLAMPD_REALTIME void learn(double position_rad, double force_N, double velocity_rad_s) noexcept;
 
   CLAMPD_REALTIME double contact_rad() const noexcept { return contact_rad_; }
   /// At a position from contact.
@@ -32,6 +32,7 @@ class StiffnessEstimate {
   double cubic_ = 1.0;      ///< s1
   double quadratic_ = 1.0;  ///< s2
   double contact_rad_ = 0.0;
+  double found_rad_ = 0.0;        ///< contact as start() found it
   double covariance_[3][3] = {};  ///< of (s2, s1, contact)
 };
 

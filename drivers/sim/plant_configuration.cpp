@@ -36,7 +36,7 @@ constexpr std::array kSensorKeys = {
 };
 
 constexpr std::array kPlantKeys = {
-    Key<PlantConfiguration>{"clearance_rad", &PlantConfiguration::clearance_rad, -30.0, 1000.0},
+    Key<PlantConfiguration>{"clearance_rad", &PlantConfiguration::clearance_rad, -90.0, 1000.0},
     Key<PlantConfiguration>{"encoder_zero_rad", &PlantConfiguration::encoder_zero_rad, -1e5, 1e5},
     Key<PlantConfiguration>{"open_stop_rad", &PlantConfiguration::open_stop_rad, 0.0, 1000.0},
     Key<PlantConfiguration>{"closed_stop_rad", &PlantConfiguration::closed_stop_rad, 0.0, 1000.0},

@@ -139,12 +139,12 @@ Result<Run> make_manoeuvre(std::string_view name, const BrakeParameters& nominal
 
   const PaperBrake brake = paper_brake(nominal);
   const std::vector<double> wanted_rad = plan_positions(found->segments, brake.stiffness());
+  if (!std::all_of(wanted_rad.begin(), wanted_rad.end(), [](double x) { return std::isfinite(x); }))
+    return failure(fmt::format("manoeuvre {}: the nominal brake cannot reach its forces", name));
   Run run;
   run.name = found->name;
   BrakeState state = BrakeState::Zero();
   for (std::size_t k = 0; k < wanted_rad.size(); ++k) {
-    if (!std::isfinite(wanted_rad[k]))
-      return failure(fmt::format("manoeuvre {}: the nominal brake cannot reach its forces", name));
     const std::size_t next = std::min(k + 1, wanted_rad.size() - 1);
     const std::size_t after = std::min(k + 2, wanted_rad.size() - 1);
     // Central difference of the plan, and back onto it where the rows have drifted off.

@@ -15,9 +15,9 @@ struct ReferenceOptions {
   /// A start further into the pads would not be at rest at zero force.
   double start_force_limit_N = 100.0;
   /// How far one row may be from where the nominal brake gets from the row before.
-  double consistency_position_rad = 0.02;
-  double consistency_velocity_rad_s = 3.0;
-  double consistency_force_N = 150.0;
+  double consistency_position_rad = 0.01;
+  double consistency_velocity_rad_s = 0.5;
+  double consistency_force_N = 50.0;
   /// Weights of the tracking: errors of this size cost as much as a torque of tracking_torque_Nm.
   double tracking_force_N = 50.0;
   double tracking_position_rad = 0.1;
