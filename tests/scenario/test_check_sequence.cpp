@@ -101,7 +101,7 @@ TEST_F(CheckSequenceTest, PhasesComeInOrderAndTheBrakeEndsOpen) {
   using enum CheckPhase;
   EXPECT_EQ(phases, (std::vector{Return, Tare, Approach, Return, Settle, Trajectory, Return, Settle,
                                  Trajectory, Release, Done}));
-  EXPECT_EQ(tare_samples, 200);
+  EXPECT_EQ(tare_samples, std::lround(plan_.tare_s / kPeriod_s));
   EXPECT_NEAR(brake.truth().position_rad, -plan_.clearance_rad, 0.3);
 }
 
