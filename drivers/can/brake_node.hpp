@@ -30,7 +30,8 @@ class BrakeNode {
   CLAMPD_REALTIME BrakeFeedback tick(std::int64_t now_ns, WireFault fault = WireFault::None) noexcept {
     std::optional<TorqueCommand> newest;
     TimedFrame received;
-    while (bus_.receive({&received, 1}, now_ns) == 1) {
+    for (int frames = 0; frames < kFramesPerTick; ++frames) {
+      if (bus_.receive({&received, 1}, now_ns) == 0) break;
       if (const auto command = protocol_.accept(received.frame, received.arrival_ns)) newest = command;
     }
     const BusHealth health = bus_.health();

@@ -22,6 +22,10 @@ struct BusHealth {
   std::uint64_t bus_bits = 0;  ///< of the frames sent and received here, worst-case stuffing
 };
 
+/// No more frames than this are taken from a bus in one tick: a flooded bus may not hold the loop. A period
+/// brings three.
+inline constexpr int kFramesPerTick = 64;
+
 /// One end of a CAN bus, without blocking.
 class FrameBus {
  public:

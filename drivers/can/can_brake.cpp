@@ -6,7 +6,8 @@ std::size_t CanBrake::receive(std::span<BrakeFeedback> out, std::int64_t now_ns)
   // One frame at a time: what does not fit into `out` waits in the bus rather than here.
   std::size_t filled = 0;
   TimedFrame received;
-  while (filled < out.size() && bus_.receive(std::span{&received, 1}, now_ns) == 1) {
+  for (int frames = 0; frames < kFramesPerTick && filled < out.size(); ++frames) {
+    if (bus_.receive({&received, 1}, now_ns) == 0) break;
     if (const auto feedback = protocol_.accept(received.frame, received.arrival_ns))
       out[filled++] = *feedback;
   }

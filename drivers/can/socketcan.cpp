@@ -274,7 +274,7 @@ std::size_t SocketCanBus::receive(std::span<TimedFrame> out, std::int64_t now_ns
   std::size_t taken = 0;
   // Errors (interface down, gone) are each reported once; the bound only keeps a kernel's whim from holding
   // the tick.
-  for (int attempts = 0; taken < out.size() && attempts < 1024; ++attempts) {
+  for (int attempts = 0; taken < out.size() && attempts < 256; ++attempts) {
     can_frame received{};
     iovec part{&received, sizeof received};
     alignas(cmsghdr) std::array<char, 128> control{};

@@ -189,6 +189,17 @@ TEST_F(Bench, ABusOffThatIsOverBeforeTheNextSampleStillCounts) {
   EXPECT_EQ(port_.health().bus_off_events, 1U);
 }
 
+TEST_F(Bench, AFloodedBusDoesNotHoldTheTick) {
+  run(5, {0.0, false});
+  FrameBus& babbler = bus_.end(EmbeddedBus::End::Brake);
+  for (int i = 0; i < 200; ++i) babbler.send(codec_.feedback[0].blank(), now_ns_);
+  now_ns_ += 100 * kPeriod_ns;
+  const std::uint64_t before = port_.health().frames_received;
+  std::array<BrakeFeedback, 4> samples;
+  EXPECT_EQ(port_.receive(samples, now_ns_), 0U);
+  EXPECT_EQ(port_.health().frames_received - before, static_cast<std::uint64_t>(kFramesPerTick));
+}
+
 TEST_F(Bench, ASmallBufferLeavesTheRestForTheNextCall) {
   for (int i = 0; i < 3; ++i) {
     node_.tick(now_ns_);
