@@ -28,7 +28,7 @@ struct DesignOptions {
   SensorNoise noise;
   std::uint64_t seed = 1;
   /// Local optimisations. More find better designs; time grows in proportion.
-  int starts = 240;
+  int starts = 360;
   /// 0: as many as the machine has. The result does not depend on it.
   int threads = 0;
   /// Called from the calling thread with the share of the work done and the best objective so far (infinite
