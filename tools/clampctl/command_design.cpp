@@ -11,6 +11,7 @@
 #include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
 #include "tools/clampctl/command.hpp"
+#include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 
 namespace clampd::ctl {
@@ -27,23 +28,6 @@ struct DesignCommandOptions {
   std::string json;
   std::string trajectory;
 };
-
-int report(const Error& error) {
-  cli::print_error(error.message);
-  return cli::kBadInput;
-}
-
-/// Found out before minutes of work rather than after.
-Result<void> check_writable(const std::string& path) {
-  std::error_code failed;
-  if (fs::is_directory(path, failed)) return failure(fmt::format("{} is a folder; name a file", path));
-  const fs::path parent = fs::absolute(path, failed).parent_path();
-  if (!fs::is_directory(parent, failed))
-    return failure(fmt::format("cannot write {}: there is no folder {}", path, parent.string()));
-  if (access(parent.c_str(), W_OK) != 0)
-    return failure(fmt::format("cannot write {}: no permission in {}", path, parent.string()));
-  return {};
-}
 
 Result<void> prepare(DesignCommandOptions& options) {
   DesignOptions& design = options.design;
@@ -64,7 +48,7 @@ Result<void> prepare(DesignCommandOptions& options) {
   if (const Result<void> valid = design.validate(); !valid) return valid;
   for (const std::string* path : {&options.json, &options.trajectory}) {
     if (path->empty()) continue;
-    if (const Result<void> writable = check_writable(*path); !writable) return writable;
+    if (const Result<void> writable = cli::check_writable(*path); !writable) return writable;
   }
   std::error_code failed;
   if (!options.json.empty() && !options.trajectory.empty() &&
@@ -137,23 +121,23 @@ void print_summary(const DesignOptions& design, const DesignSummary& summary) {
 }
 
 int design(DesignCommandOptions options) {
-  if (const Result<void> prepared = prepare(options); !prepared) return report(prepared.error());
+  if (const Result<void> prepared = prepare(options); !prepared) return cli::refuse(prepared.error());
   cli::ProgressLine progress;
   options.design.progress = [&](double fraction, double best) {
     progress.show(fraction, std::isfinite(best) ? fmt::format("best so far {:.3f}", best) : std::string());
   };
   const DesignSummary summary = design_experiment(options.design);
   progress.clear();
-  if (!summary.certified()) return report(Error{fmt::format("no design: {}", summary.message)});
+  if (!summary.certified()) return cli::refuse(Error{fmt::format("no design: {}", summary.message)});
   if (!options.trajectory.empty())
     if (const Result<void> written = write_run(options.trajectory, nominal_response(options.design, summary));
         !written)
-      return report(written.error());
+      return cli::refuse(written.error());
   if (!options.json.empty())
     if (const Result<void> written =
             write_file_atomically(options.json, design_json(options.design, summary).dump(2) + "\n");
         !written)
-      return report(written.error());
+      return cli::refuse(written.error());
   print_summary(options.design, summary);
   return cli::kSuccess;
 }

@@ -9,6 +9,7 @@
 #include "rt/readiness.hpp"
 #include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
+#include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 
 namespace clampd::ctl {
@@ -79,21 +80,12 @@ void print_facts(const std::vector<ReadinessFact>& facts) {
 
 int doctor(const DoctorOptions& options, const CommonOptions& common) {
   const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
-  if (!configuration) {
-    cli::print_error(configuration.error().message);
-    return cli::kBadInput;
-  }
+  if (!configuration) return cli::refuse(configuration.error());
   const Result<assembly::PreparedStation> station = assembly::prepare_station(*configuration);
-  if (!station) {
-    cli::print_error(station.error().message);
-    return cli::kBadInput;
-  }
+  if (!station) return cli::refuse(station.error());
   const std::string interface = options.interface.empty() ? configuration->can.interface : options.interface;
   if (!options.interface.empty())
-    if (const Result<can::InterfaceInfo> info = can::inspect_interface(interface); !info) {
-      cli::print_error(info.error().message);
-      return cli::kBadInput;
-    }
+    if (const Result<can::InterfaceInfo> info = can::inspect_interface(interface); !info) return cli::refuse(info.error());
 
   rt::ReadinessOptions readiness;
   readiness.priority = configuration->realtime.priority;

@@ -5,9 +5,9 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/identify/output_error.hpp"
-#include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
 #include "tools/clampctl/command.hpp"
+#include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 
 namespace clampd::ctl {
@@ -86,34 +86,24 @@ void print_table(const OutputErrorSummary& summary, std::size_t runs) {
 }
 
 int identify(const IdentifyOptions& options) {
+  if (const Result<void> writable = cli::check_writable(options.json); !writable) return cli::refuse(writable.error());
   std::vector<Run> runs;
   for (const std::string& file : options.files) {
     Result<LoadedRun> loaded = read_run(file);
-    if (!loaded) {
-      cli::print_error(loaded.error().message);
-      return cli::kBadInput;
-    }
+    if (!loaded) return cli::refuse(loaded.error());
     for (const std::string& notice : loaded->notices) cli::print_notice(notice);
     runs.push_back(std::move(loaded->run));
   }
   OutputErrorOptions settings;
   if (!options.parameters.empty()) {
     Result<BrakeParameters> start = read_brake_parameters(options.parameters);
-    if (!start) {
-      cli::print_error(start.error().message);
-      return cli::kBadInput;
-    }
+    if (!start) return cli::refuse(start.error());
     settings.start = *start;
   }
   const OutputErrorSummary summary = identify_output_error(runs, settings);
-  if (!options.json.empty()) {
-    const auto written = write_file_atomically(options.json, identify_json(summary, runs.size()).dump(2) + "\n");
-    if (!written) {
-      cli::print_error(written.error().message);
-      return cli::kBadInput;
-    }
-  }
-  print_table(summary, runs.size());
+  if (const Result<void> written = cli::write_json(options.json, identify_json(summary, runs.size())); !written)
+    return cli::refuse(written.error());
+  if (options.json != "-") print_table(summary, runs.size());
   return cli::kSuccess;
 }
 
@@ -128,7 +118,7 @@ void add_identify_command(CLI::App& app, int& exit_code) {
       ->capture_default_str();
   command->add_option("--parameters", options->parameters, "start values and fixed J, N (default: the paper's Table I)")
       ->type_name("FILE.toml");
-  command->add_option("--json", options->json, "write the result as clampd.identify/1")->type_name("FILE");
+  command->add_option("--json", options->json, "write the result as clampd.identify/1; - for standard output")->type_name("FILE");
   command->callback([options, &exit_code] { exit_code = identify(*options); });
 }
 

@@ -7,6 +7,7 @@
 #include "clampd/archive/table.hpp"
 #include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
+#include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 
 namespace clampd::ctl {
@@ -20,20 +21,15 @@ struct ResultsOptions {
   bool json = false;
 };
 
-int report(const Error& error) {
-  cli::print_error(error.message);
-  return cli::kBadInput;
-}
-
 int results(ResultsOptions options, const CommonOptions& common) {
   const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
-  if (!configuration) return report(configuration.error());
+  if (!configuration) return cli::refuse(configuration.error());
   const Result<CheckStore> store = CheckStore::open(configuration->database, CheckStore::Access::ReadOnly);
-  if (!store) return report(store.error());
+  if (!store) return cli::refuse(store.error());
 
   if (!options.id.empty()) {
     const Result<CheckRecord> record = store->load(options.id);
-    if (!record) return report(record.error());
+    if (!record) return cli::refuse(record.error());
     if (options.json)
       fmt::print("{}\n", check_json(*record).dump(2));
     else
@@ -43,7 +39,7 @@ int results(ResultsOptions options, const CommonOptions& common) {
 
   options.filter.verdict = parse_verdict(options.verdict);
   const Result<std::vector<CheckSummary>> checks = store->list(options.filter);
-  if (!checks) return report(checks.error());
+  if (!checks) return cli::refuse(checks.error());
   if (options.json)
     fmt::print("{}\n", summaries_json(*checks).dump(2));
   else

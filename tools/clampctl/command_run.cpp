@@ -9,7 +9,6 @@
 #include "clampd/archive/json.hpp"
 #include "clampd/archive/store.hpp"
 #include "clampd/archive/table.hpp"
-#include "clampd/record/file.hpp"
 #include "clampd/station/session.hpp"
 #include "clampd/station/verdict.hpp"
 #include "drivers/can/socketcan.hpp"
@@ -18,6 +17,7 @@
 #include "tools/assembly/embedded_station.hpp"
 #include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
+#include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 #include "tools/control/messages.hpp"
 
@@ -47,32 +47,17 @@ void show_progress(cli::ProgressLine& line, std::string_view phase, std::uint32_
   line.show(static_cast<double>(repeat) / repeats, fmt::format("run {} of {}, {}", std::min(repeat + 1, repeats), repeats, phase));
 }
 
-/// Writes the document where asked for; stdout for "-".
-Result<void> write_json(const std::string& path, const nlohmann::ordered_json& document) {
-  if (path.empty()) return {};
-  if (path == "-") {
-    fmt::print("{}\n", document.dump(2));
-    return {};
-  }
-  return write_file_atomically(path, document.dump(2) + "\n");
-}
-
-int report_input_error(const Error& error) {
-  cli::print_error(error.message);
-  return cli::kBadInput;
-}
-
 int run_embedded(const RunOptions& options, StationConfiguration configuration) {
   configuration.simulated_brake = true;
   const std::string& plant_file = options.simulated_brake.empty() ? configuration.plant_file : options.simulated_brake;
   const Result<sim::PlantConfiguration> plant =
       plant_file.empty() ? sim::parse_plant_configuration(assembly::kBuiltinPlant, "built-in plant.toml")
                          : sim::read_plant_configuration(plant_file);
-  if (!plant) return report_input_error(plant.error());
+  if (!plant) return cli::refuse(plant.error());
   Result<assembly::PreparedStation> prepared = assembly::prepare_station(configuration);
-  if (!prepared) return report_input_error(prepared.error());
+  if (!prepared) return cli::refuse(prepared.error());
   Result<CheckStore> store = CheckStore::open(configuration.database);
-  if (!store) return report_input_error(store.error());
+  if (!store) return cli::refuse(store.error());
 
   cli::ProgressLine line;
   assembly::EmbeddedStation station(std::move(*prepared), *plant);
@@ -82,9 +67,9 @@ int run_embedded(const RunOptions& options, StationConfiguration configuration) 
         return !interrupted;
       });
   line.clear();
-  if (!record) return report_input_error(record.error());
-  if (const Result<void> written = write_json(options.json, check_json(*record)); !written)
-    return report_input_error(written.error());
+  if (!record) return cli::refuse(record.error());
+  if (const Result<void> written = cli::write_json(options.json, check_json(*record)); !written)
+    return cli::refuse(written.error());
   if (options.json != "-") fmt::print("{}", format_check(*record, cli::colours_wanted()));
   return exit_code(record->verdict);
 }
@@ -98,7 +83,7 @@ int daemon_lost(const RunOptions& options, const std::string& why) {
   record.repeats = options.request.repeats;
   record.verdict = Verdict::Error;
   record.reason = "the station's daemon went away during the check: " + why;
-  if (const Result<void> written = write_json(options.json, check_json(record)); !written)
+  if (const Result<void> written = cli::write_json(options.json, check_json(record)); !written)
     cli::print_error(written.error().message);
   cli::print_error(record.reason + ". The brake drops its torque by itself after 20 ms; look at the rig before the next check");
   return cli::kStation;
@@ -110,7 +95,7 @@ int run_through_daemon(const RunOptions& options, const StationConfiguration& co
                                configuration.control.token_file);
   if (const Result<control::StationStatus> status = daemon.status(); !status) {
     if (const auto interface = can::inspect_interface(configuration.can.interface); !interface)
-      return report_input_error(interface.error());
+      return cli::refuse(interface.error());
     cli::print_error(status.error().message);
     return cli::kStation;
   }
@@ -141,8 +126,8 @@ int run_through_daemon(const RunOptions& options, const StationConfiguration& co
     }
     if (progress->finished) {
       line.clear();
-      if (const Result<void> written = write_json(options.json, progress->record); !written)
-        return report_input_error(written.error());
+      if (const Result<void> written = cli::write_json(options.json, progress->record); !written)
+        return cli::refuse(written.error());
       if (options.json != "-") fmt::print("{}", progress->table);
       return exit_code_of(progress->record.value("verdict", ""));
     }
@@ -153,8 +138,9 @@ int run_through_daemon(const RunOptions& options, const StationConfiguration& co
 
 int run(const RunOptions& options, const CommonOptions& common) {
   Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
-  if (!configuration) return report_input_error(configuration.error());
-  if (const Result<void> valid = validate(options.request); !valid) return report_input_error(valid.error());
+  if (!configuration) return cli::refuse(configuration.error());
+  if (const Result<void> valid = validate(options.request); !valid) return cli::refuse(valid.error());
+  if (const Result<void> writable = cli::check_writable(options.json); !writable) return cli::refuse(writable.error());
   watch_for_interrupt();
   if (configuration->embedded() || !options.simulated_brake.empty())
     return run_embedded(options, std::move(*configuration));

@@ -10,6 +10,7 @@
 #include "drivers/sim/plant_configuration.hpp"
 #include "tools/assembly/builtin.hpp"
 #include "tools/clampctl/command.hpp"
+#include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 #include "tools/simulation/simulate.hpp"
 
@@ -28,11 +29,6 @@ struct SimulateOptions {
   std::uint16_t repeats = 1;
   std::string folder;
 };
-
-int report(const Error& error) {
-  cli::print_error(error.message);
-  return cli::kBadInput;
-}
 
 Result<sim::PlantConfiguration> plant_configuration(const SimulateOptions& options) {
   Result<sim::PlantConfiguration> plant =
@@ -68,23 +64,23 @@ Result<void> write_runs(const std::vector<Run>& runs, const SimulateOptions& opt
 
 int simulate(const SimulateOptions& options) {
   const Result<sim::PlantConfiguration> plant = plant_configuration(options);
-  if (!plant) return report(plant.error());
+  if (!plant) return cli::refuse(plant.error());
   const Result<LoadedRun> optimal =
       options.trajectory.empty() ? parse_run(std::string(assembly::kBuiltinTrajectory), "built-in trajectory.csv")
                                  : read_run(options.trajectory);
-  if (!optimal) return report(optimal.error());
+  if (!optimal) return cli::refuse(optimal.error());
   // What a station knows of the brake is the nominal one, whatever the simulated brake really is.
   const BrakeParameters nominal;
   const Result<Run> trajectory = make_manoeuvre(options.manoeuvre, nominal, optimal->run);
-  if (!trajectory) return report(trajectory.error());
+  if (!trajectory) return cli::refuse(trajectory.error());
   const Result<Reference> reference = build_reference(*trajectory, nominal);
-  if (!reference) return report(reference.error());
+  if (!reference) return cli::refuse(reference.error());
   const Result<std::vector<Run>> runs = simulate_manoeuvre(*plant, *reference, nominal, options.repeats);
   if (!runs) {
     cli::print_error(runs.error().message);
     return cli::kStation;
   }
-  if (const Result<void> written = write_runs(*runs, options); !written) return report(written.error());
+  if (const Result<void> written = write_runs(*runs, options); !written) return cli::refuse(written.error());
   fmt::print("{} run{} of {} rows in {}\n", runs->size(), runs->size() == 1 ? "" : "s", trajectory->size(),
              options.folder);
   return cli::kSuccess;

@@ -1,0 +1,248 @@
+// What a user sees of the programs: exit codes, messages, and that nothing half-written stays behind.
+
+#include <sys/wait.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "support/temporary_folder.hpp"
+
+namespace clampd {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::Not;
+
+struct Outcome {
+  int exit_code = -1;
+  std::string output;  ///< stdout and stderr, as in a terminal
+};
+
+class CommandLine : public ::testing::Test {
+ protected:
+  /// Runs in the test's folder, which is also where results go.
+  Outcome run(const std::string& command) {
+    const std::string line = "cd '" + folder_.path().string() + "' && STATE_DIRECTORY='" + folder_ / "state" + "' " +
+                             command + " 2>&1";
+    FILE* pipe = popen(line.c_str(), "r");
+    Outcome outcome;
+    char buffer[4096];
+    while (const std::size_t count = fread(buffer, 1, sizeof buffer, pipe)) outcome.output.append(buffer, count);
+    const int status = pclose(pipe);
+    outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
+    return outcome;
+  }
+  Outcome clampctl(const std::string& arguments) { return run(std::string(CLAMPCTL) + " " + arguments); }
+
+  void write(const std::string& name, const std::string& text) { std::ofstream(folder_ / name) << text; }
+  std::string read(const std::string& name) {
+    std::stringstream text;
+    text << std::ifstream(folder_ / name).rdbuf();
+    return text.str();
+  }
+  bool exists(const std::string& name) { return fs::exists(folder_ / name); }
+
+  support::TemporaryFolder folder_;
+};
+
+constexpr const char* kRunHeader = "time_s,torque_Nm,velocity_rad_s,force_N\n";
+
+TEST_F(CommandLine, ChecksAGoodBrake) {
+  const Outcome outcome = clampctl("run --serial GOOD-1 --repeats 8 --json check.json");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, AllOf(HasSubstr("PASS"), HasSubstr("GOOD-1"), HasSubstr("SIMULATED")));
+
+  const auto document = nlohmann::json::parse(read("check.json"));
+  EXPECT_EQ(document.at("schema"), "clampd.check/1");
+  EXPECT_EQ(document.at("verdict"), "PASS");
+  EXPECT_EQ(document.at("serial"), "GOOD-1");
+  EXPECT_EQ(document.at("repeats"), 8);
+  EXPECT_EQ(document.at("timing").at("skipped"), 0);
+  EXPECT_EQ(document.at("timing").at("lost_samples"), 0);
+  EXPECT_TRUE(document.at("cause").is_null());
+  const std::vector<std::string> names{"k1", "k2", "TC", "Ts0", "Tv", "mus", "ws"};
+  ASSERT_EQ(document.at("parameters").size(), names.size());
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    const auto& parameter = document.at("parameters")[i];
+    EXPECT_EQ(parameter.at("name"), names[i]);
+    EXPECT_GT(parameter.at("sd"), 0.0);
+    EXPECT_LT(parameter.at("lower"), parameter.at("upper"));
+    EXPECT_EQ(parameter.at("verdict"), "pass");
+  }
+
+  const Outcome listed = clampctl("results --json");
+  EXPECT_EQ(listed.exit_code, 0);
+  EXPECT_EQ(nlohmann::json::parse(listed.output).at("checks").at(0).at("record"), document.at("record"));
+  const Outcome shown = clampctl("results last");
+  EXPECT_EQ(shown.exit_code, 0);
+  EXPECT_THAT(shown.output, HasSubstr("GOOD-1"));
+}
+
+TEST_F(CommandLine, FailsASoftBrakeAndNamesTheParameter) {
+  write("soft.toml", "[parameters_normalised]\nk2 = 0.7\n[sensors]\nforce_noise_N = 30.0\nvelocity_noise_rad_s = 0.3\n");
+  const Outcome outcome = clampctl("run --serial SOFT-1 --repeats 8 --simulated-brake soft.toml --json check.json");
+  EXPECT_EQ(outcome.exit_code, 1) << outcome.output;
+  const auto document = nlohmann::json::parse(read("check.json"));
+  EXPECT_EQ(document.at("verdict"), "FAIL");
+  EXPECT_THAT(document.at("reason").get<std::string>(), HasSubstr("k2"));
+  for (const auto& parameter : document.at("parameters"))
+    EXPECT_EQ(parameter.at("verdict"), parameter.at("name") == "k2" ? "fail" : "pass") << parameter;
+}
+
+TEST_F(CommandLine, ABrakeThatStopsSendingIsAnErrorOfTheStation) {
+  write("silent.toml", "[sensors]\nforce_noise_N = 30.0\nvelocity_noise_rad_s = 0.3\n"
+                       "[[fault]]\nkind = \"silent\"\nat_s = 3.0\nduration_s = 100.0\n");
+  const Outcome outcome = clampctl("run --serial MUTE-1 --simulated-brake silent.toml --json check.json");
+  EXPECT_EQ(outcome.exit_code, 3) << outcome.output;
+  EXPECT_EQ(nlohmann::json::parse(read("check.json")).at("verdict"), "ERROR");
+  EXPECT_THAT(outcome.output, AllOf(HasSubstr("ERROR"), HasSubstr("stopped sending")));
+}
+
+TEST_F(CommandLine, SimulatesAndIdentifies) {
+  const Outcome simulated = clampctl("simulate --manoeuvre optimal --seed 5 --repeats 3 --out runs");
+  EXPECT_EQ(simulated.exit_code, 0) << simulated.output;
+  const Outcome identified = clampctl("identify runs/optimal-001.csv runs/optimal-002.csv runs/optimal-003.csv --json fit.json");
+  EXPECT_EQ(identified.exit_code, 0) << identified.output;
+  const auto document = nlohmann::json::parse(read("fit.json"));
+  EXPECT_EQ(document.at("schema"), "clampd.identify/1");
+  EXPECT_EQ(document.at("method"), "oem");
+  EXPECT_EQ(document.at("runs"), 3);
+  EXPECT_TRUE(document.at("converged"));
+  ASSERT_EQ(document.at("parameters").size(), 7U);
+  ASSERT_EQ(document.at("covariance_normalised").size(), 7U);
+  for (const auto& parameter : document.at("parameters"))
+    EXPECT_NEAR(parameter.at("normalised"), 1.0, 0.3) << parameter;
+  EXPECT_TRUE(document.at("noise").at("torque_Nm").is_null());
+}
+
+TEST_F(CommandLine, SimulationsRepeatBitForBit) {
+  for (const char* folder : {"a", "b"})
+    ASSERT_EQ(clampctl("simulate --manoeuvre step --seed 9 --out " + std::string(folder)).exit_code, 0);
+  EXPECT_EQ(read("a/step-001.csv"), read("b/step-001.csv"));
+  ASSERT_EQ(clampctl("simulate --manoeuvre step --seed 10 --out c").exit_code, 0);
+  EXPECT_NE(read("a/step-001.csv"), read("c/step-001.csv"));
+}
+
+struct BadInput {
+  const char* name;
+  const char* arguments;
+  const char* says;  ///< what the message must contain
+};
+
+class BadInputs : public CommandLine, public ::testing::WithParamInterface<BadInput> {
+ protected:
+  void SetUp() override {
+    write("empty.csv", "");
+    write("header.csv", kRunHeader);
+    write("column.csv", "time_s,torque_Nm,velocity_rad_s\n0,0,0\n0.001,0,0\n");
+    write("word.csv", std::string(kRunHeader) + "0,0,0,0\n0.001,0,zero,0\n");
+    write("backwards.csv", std::string(kRunHeader) + "0,0,0,0\n0.001,0,0,0\n0.0005,0,0,0\n");
+    write("impossible.toml", "revision=\"1\"\n[parameters_normalised]\nk1={lower=0.5,upper=1.5}\nk2={lower=2.0,upper=1.0}\n"
+                             "TC={lower=0.5,upper=1.5}\nTs0={lower=0.5,upper=1.5}\nTv={lower=0.5,upper=1.5}\n"
+                             "mus={lower=0.5,upper=1.5}\nws={lower=0.5,upper=1.5}\n");
+    write("limits.toml", "[limits]\nfile = \"impossible.toml\"\n");
+    write("unknown_key.toml", "[check]\nrepeat = 5\n");
+    write("not.toml", "this is = = not toml\n");
+    write("not.dbc", "BO_ nonsense\n");
+    write("dbc.toml", "[can]\ndbc = \"not.dbc\"\n");
+    write("interface.toml", "[can]\ninterface = \"can77\"\n");
+    write("trajectory.toml", "[check]\ntrajectory = \"word.csv\"\n");
+    write("plant.toml", "[parameters]\nk2 = \"soft\"\n");
+    write("occupied", "a file where a folder is wanted\n");
+  }
+};
+
+TEST_P(BadInputs, AreRefusedWithAMessageAndNothingIsWritten) {
+  const Outcome outcome = clampctl(GetParam().arguments);
+  EXPECT_EQ(outcome.exit_code, 2) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr(GetParam().says));
+  EXPECT_THAT(outcome.output, Not(HasSubstr("terminate")));
+  EXPECT_FALSE(exists("out.json"));
+  EXPECT_FALSE(exists("out"));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    OfEveryCommand, BadInputs,
+    ::testing::Values(
+        BadInput{"NoCommand", "", "subcommand"}, BadInput{"UnknownCommand", "clamp", "clamp"},
+        BadInput{"UnknownOption", "run --serial A --fast", "--fast"}, BadInput{"NoSerial", "run --json out.json", "--serial"},
+        BadInput{"EmptySerial", "run --serial '' --json out.json", "serial"},
+        BadInput{"NoRepeats", "run --serial A --repeats 0 --json out.json", "repeats"},
+        BadInput{"ManyRepeats", "run --serial A --repeats many --json out.json", "many"},
+        BadInput{"RunNoConfiguration", "run --serial A --config nowhere.toml --json out.json", "nowhere.toml"},
+        BadInput{"RunNotToml", "run --serial A --config not.toml --json out.json", "not.toml:1"},
+        BadInput{"RunUnknownKey", "run --serial A --config unknown_key.toml --json out.json", "unknown_key.toml:2"},
+        BadInput{"RunImpossibleLimits", "run --serial A --config limits.toml --json out.json", "k2"},
+        BadInput{"RunUnreadableDbc", "run --serial A --config dbc.toml --json out.json", "not.dbc:1"},
+        BadInput{"RunBadTrajectory", "run --serial A --config trajectory.toml --json out.json", "word.csv:3"},
+        BadInput{"RunBadPlant", "run --serial A --simulated-brake plant.toml --json out.json", "plant.toml"},
+        BadInput{"RunNoInterface", "run --serial A --config interface.toml --json out.json", "can77"},
+        BadInput{"RunUnwritable", "run --serial A --json nowhere/out.json", "nowhere"},
+        BadInput{"IdentifyNoFile", "identify nowhere.csv --json out.json", "nowhere.csv"},
+        BadInput{"IdentifyFolder", "identify . --json out.json", "."},
+        BadInput{"IdentifyEmpty", "identify empty.csv --json out.json", "empty.csv"},
+        BadInput{"IdentifyHeaderOnly", "identify header.csv --json out.json", "header.csv"},
+        BadInput{"IdentifyColumn", "identify column.csv --json out.json", "force_N"},
+        BadInput{"IdentifyWord", "identify word.csv --json out.json", "word.csv:3"},
+        BadInput{"IdentifyBackwards", "identify backwards.csv --json out.json", "backwards.csv:4"},
+        BadInput{"IdentifyMethod", "identify word.csv --method magic --json out.json", "magic"},
+        BadInput{"IdentifyParameters", "identify word.csv --parameters plant.toml --json out.json", ""},
+        BadInput{"DesignNegative", "design --duration -1 --json out.json", "duration"},
+        BadInput{"DesignObjective", "design --objective beautiful --json out.json", "beautiful"},
+        BadInput{"SimulateNoManoeuvre", "simulate --out out", "--manoeuvre"},
+        BadInput{"SimulateUnknownManoeuvre", "simulate --manoeuvre dance --out out", "dance"},
+        BadInput{"SimulateUnknownEffect", "simulate --manoeuvre step --effect magic=1 --out out", "magic"},
+        BadInput{"SimulateEffectValue", "simulate --manoeuvre step --effect cogging=much --out out", "much"},
+        BadInput{"SimulateBadPlant", "simulate --manoeuvre step --parameters plant.toml --out out", "plant.toml"},
+        BadInput{"SimulateIntoAFile", "simulate --manoeuvre step --out occupied", "occupied"},
+        BadInput{"StatusWithoutDaemon", "status", "no daemon is configured"},
+        BadInput{"ResultsNone", "results", "checks.sqlite"},
+        BadInput{"ResultsVerdict", "results --verdict GOOD", "GOOD"},
+        BadInput{"DoctorInterface", "doctor --interface can77 --seconds 0", "can77"},
+        BadInput{"DoctorConfiguration", "doctor --config not.toml", "not.toml"}),
+    [](const auto& info) { return std::string(info.param.name); });
+
+TEST_F(CommandLine, TheDaemonRefusesBadInput) {
+  write("interface.toml", "[can]\ninterface = \"can77\"\n");
+  const std::string daemon = CLAMPD;
+  for (const auto& [arguments, says] : {std::pair{"--config nowhere.toml", "nowhere.toml"},
+                                        std::pair{"--config interface.toml", "can77"}, std::pair{"--fast", "--fast"}}) {
+    const Outcome outcome = run(daemon + " " + arguments);
+    EXPECT_EQ(outcome.exit_code, 2) << outcome.output;
+    EXPECT_THAT(outcome.output, HasSubstr(says));
+  }
+}
+
+TEST_F(CommandLine, ThePlantRefusesBadInput) {
+  const std::string plant = CLAMPD_PLANT;
+  const std::string configs = std::string(CLAMPD_SOURCE_DIR) + "/configs/";
+  for (const auto& [arguments, says] :
+       {std::pair{std::string("--fast"), "--fast"}, {"--interface can77 --config nowhere.toml", "nowhere.toml"},
+        {"--interface can77 --config " + configs + "plant.toml --dbc " + configs + "brake.dbc", "can77"}}) {
+    const Outcome outcome = run(plant + " " + arguments);
+    EXPECT_EQ(outcome.exit_code, 2) << outcome.output;
+    EXPECT_THAT(outcome.output, HasSubstr(says));
+  }
+}
+
+TEST_F(CommandLine, HelpAndVersionAreNoErrors) {
+  for (const char* arguments : {"--help", "--version", "run --help", "identify --help", "design --help", "simulate --help",
+                                "status --help", "results --help", "doctor --help"}) {
+    const Outcome outcome = clampctl(arguments);
+    EXPECT_EQ(outcome.exit_code, 0) << arguments;
+    EXPECT_THAT(outcome.output, Not(IsEmpty()));
+  }
+}
+
+}  // namespace
+}  // namespace clampd

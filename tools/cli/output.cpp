@@ -1,0 +1,43 @@
+#include "tools/cli/output.hpp"
+
+#include <unistd.h>
+
+#include <filesystem>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include "clampd/record/file.hpp"
+#include "tools/cli/terminal.hpp"
+
+namespace clampd::cli {
+
+namespace fs = std::filesystem;
+
+int refuse(const Error& error) {
+  print_error(error.message);
+  return kBadInput;
+}
+
+Result<void> check_writable(const std::string& path) {
+  if (path.empty() || path == "-") return {};
+  std::error_code failed;
+  if (fs::is_directory(path, failed)) return failure(fmt::format("{} is a folder; name a file", path));
+  const fs::path parent = fs::absolute(path, failed).parent_path();
+  if (!fs::is_directory(parent, failed))
+    return failure(fmt::format("cannot write {}: there is no folder {}", path, parent.string()));
+  if (access(parent.c_str(), W_OK) != 0)
+    return failure(fmt::format("cannot write {}: no permission in {}", path, parent.string()));
+  return {};
+}
+
+Result<void> write_json(const std::string& path, const nlohmann::ordered_json& document) {
+  if (path.empty()) return {};
+  if (path == "-") {
+    fmt::print("{}\n", document.dump(2));
+    return {};
+  }
+  return write_file_atomically(path, document.dump(2) + "\n");
+}
+
+}  // namespace clampd::cli
