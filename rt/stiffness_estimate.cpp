@@ -7,8 +7,9 @@ namespace clampd::rt {
 namespace {
 
 constexpr double kForceVariance_N2 = 75.0 * 75.0;
-constexpr double kModelError = 0.01;        // of the force: shapes that the cubic cannot take
-constexpr double kReadingDelay_s = 0.5e-3;  // between force and position, trusted no better than this
+constexpr double kModelError = 0.01;  // of the force: shapes that the cubic cannot take
+constexpr double kDelayStartVariance_s2 = 0.6e-3 * 0.6e-3;
+constexpr double kDelayLimit_s = 8e-3;
 constexpr double kQuadraticStartVariance = 0.12 * 0.12;
 constexpr double kCubicStartVariance = 0.2 * 0.2;
 constexpr double kContactStartVariance_rad2 = 0.3 * 0.3;
@@ -31,20 +32,22 @@ void StiffnessEstimate::start(const NominalDrive& drive, double position_rad, do
   covariance_[0][0] = kQuadraticStartVariance;
   covariance_[1][1] = kCubicStartVariance;
   covariance_[2][2] = kContactStartVariance_rad2;
+  covariance_[3][3] = kDelayStartVariance_s2;
+  delay_s_ = 0.0;
 }
 
 void StiffnessEstimate::learn(double position_rad, double force_N, double velocity_rad_s) noexcept {
-  const double u = position_rad - contact_rad_;
+  const double u = position_rad - contact_rad_ - delay_s_ * velocity_rad_s;
   if (u < 0.5) return;  // hardly any force, hardly any information
-  const double slope[3] = {quadratic_nominal_ * u * u, cubic_nominal_ * u * u * u, -slope_N_rad(u)};
-  double product[3];
+  const double slope[4] = {quadratic_nominal_ * u * u, cubic_nominal_ * u * u * u, -slope_N_rad(u),
+                           -slope_N_rad(u) * velocity_rad_s};
+  double product[4];
   const double expected_N = this->force_N(u);
-  const double delay_N = slope[2] * velocity_rad_s * kReadingDelay_s;
   const double model_N = kModelError * expected_N;
-  double total = kForceVariance_N2 + model_N * model_N + delay_N * delay_N;
-  for (int i = 0; i < 3; ++i) {
+  double total = kForceVariance_N2 + model_N * model_N;
+  for (int i = 0; i < 4; ++i) {
     product[i] = 0.0;
-    for (int j = 0; j < 3; ++j) product[i] += covariance_[i][j] * slope[j];
+    for (int j = 0; j < 4; ++j) product[i] += covariance_[i][j] * slope[j];
     total += slope[i] * product[i];
   }
   // A spike shall not move much; but what is wrong for long must be learned, so nothing is refused.
@@ -53,10 +56,11 @@ void StiffnessEstimate::learn(double position_rad, double force_N, double veloci
   const double step = innovation_N / total;
   quadratic_ = std::clamp(quadratic_ + product[0] * step, 0.6, 1.5);
   cubic_ = std::clamp(cubic_ + product[1] * step, 0.4, 1.6);
+  delay_s_ = std::clamp(delay_s_ + product[3] * step, -kDelayLimit_s, kDelayLimit_s);
   contact_rad_ = std::clamp(contact_rad_ + product[2] * step, found_rad_ - kContactReach_rad,
                             found_rad_ + kContactReach_rad);
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) covariance_[i][j] -= product[i] * product[j] / total;
+  for (int i = 0; i < 4; ++i)
+    for (int j = 0; j < 4; ++j) covariance_[i][j] -= product[i] * product[j] / total;
   covariance_[0][0] = std::min(covariance_[0][0] + kScaleStepVariance, kQuadraticStartVariance);
   covariance_[1][1] = std::min(covariance_[1][1] + kScaleStepVariance, kCubicStartVariance);
   covariance_[2][2] = std::min(covariance_[2][2] + kContactStepVariance_rad2, kContactStartVariance_rad2);

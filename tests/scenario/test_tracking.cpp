@@ -64,22 +64,30 @@ TEST_F(Tracking, EveryCornerOfTheRangeOfTableII) {
   const double lower[] = {0.80, 0.89, 1.0, 0.92, 1.0, 0.875, 0.38};
   const double upper[] = {1.0, 1.0, 1.67, 1.0, 2.45, 1.05, 1.0};
   TrackingError worst;
-  double mean_N = 0.0, fastest = 0.0;
+  double mean_N = 0.0, fastest = 0.0, later_N = 0.0;
   constexpr int kCorners = 128;
   for (int corner = 0; corner < kCorners; ++corner) {
     sim::PlantConfiguration plant = scenario::noisy_plant();
     plant.seed = static_cast<std::uint64_t>(corner);
     for (int i = 0; i < 7; ++i) plant.brake.theta[i] *= (corner >> i & 1) != 0 ? upper[i] : lower[i];
-    const SimulatedCheck result = check(plant, 1);
-    EXPECT_LT(error_.rms_N, kForceNoise_N) << "corner " << corner;
-    EXPECT_LT(error_.max_N, 4.0 * kForceNoise_N) << "corner " << corner;
+    SimulatedCheck result = check(plant, 2);
+    // The first repeat still learns the stiffness on the way up.
+    EXPECT_LT(error_.max_N, 5.0 * kForceNoise_N) << "corner " << corner;
+    SimulatedCheck second = result;
+    second.runs.erase(second.runs.begin());
+    result.runs.pop_back();
+    later_N = std::max(later_N, scenario::tracking_error(second, reference_).rms_N);
+    error_ = scenario::tracking_error(result, reference_);
+    EXPECT_LT(error_.rms_N, 1.5 * kForceNoise_N) << "corner " << corner;
     worst.rms_N = std::max(worst.rms_N, error_.rms_N);
     worst.max_N = std::max(worst.max_N, error_.max_N);
     mean_N += error_.rms_N / kCorners;
     fastest = std::max(fastest, result.speed_max_rad_s);
   }
   std::cout << "  corners of Table II: mean rms " << mean_N << " N, worst rms " << worst.rms_N << " N, max "
-            << worst.max_N << " N, speed to " << fastest << " rad/s\n";
+            << worst.max_N << " N, speed to " << fastest << " rad/s; second repeat: worst rms " << later_N
+            << " N\n";
+  EXPECT_LT(later_N, kForceNoise_N);
 }
 
 TEST_F(Tracking, MeansOfTableII) {
