@@ -13,9 +13,9 @@ namespace clampd {
 
 /// Which checks to list, newest first. Empty fields do not restrict.
 struct CheckFilter {
-  std::string serial;
-  std::optional<Verdict> verdict;
-  std::string since;  ///< RFC 3339 or a date: checks started then or later
+  std::string serial = {};
+  std::optional<Verdict> verdict = {};
+  std::string since = {};  ///< RFC 3339 or a date: checks started then or later
   std::uint32_t limit = 50;
 };
 

@@ -1,0 +1,68 @@
+#include "clampd/archive/json.hpp"
+
+#include <limits>
+#include <set>
+#include <string>
+
+#include <gtest/gtest.h>
+
+#include "support/check_records.hpp"
+
+namespace clampd {
+namespace {
+
+using nlohmann::ordered_json;
+
+TEST(CheckJson, HoldsWhatTheContractPromises) {
+  const ordered_json document = check_json(support::make_check_record());
+  EXPECT_EQ(document.at("schema"), "clampd.check/1");
+  EXPECT_EQ(document.at("serial"), "EMB-0042");
+  EXPECT_EQ(document.at("verdict"), "FAIL");
+  EXPECT_EQ(document.at("marginal"), false);
+  EXPECT_EQ(document.at("reason"), "k2 is 24.64 N/rad^2, below its lower limit 29.92 N/rad^2.");
+  EXPECT_EQ(document.at("repeats"), 2);
+  ASSERT_EQ(document.at("parameters").size(), 7u);
+  EXPECT_EQ(document.at("parameters")[1],
+            ordered_json::parse(R"({"name":"k2","unit":"N/rad^2","value":24.64,"sd":0.105,
+                                    "lower":29.92,"upper":40.48,"verdict":"fail"})"));
+  EXPECT_EQ(document.at("parameters")[4].at("verdict"), "marginal");
+  const ordered_json& timing = document.at("timing");
+  EXPECT_EQ(timing.at("ticks"), 17432);
+  EXPECT_EQ(timing.at("skipped"), 1);
+  EXPECT_EQ(timing.at("lost_samples"), 2);
+  EXPECT_EQ(timing.at("lateness_us"), ordered_json::parse(R"({"min":3.0,"avg":14.2,"max":28.5})"));
+  EXPECT_EQ(document.at("tracking_rms_N"), 212.4);
+  EXPECT_EQ(document.at("started"), "2026-11-20T23:41:07.123Z");
+  EXPECT_EQ(document.at("duration_s"), 17.432);
+  EXPECT_TRUE(document.at("cause").is_null());
+  EXPECT_EQ(document.at("record"), "20261120T234107123Z-9f3a61c2");
+}
+
+TEST(CheckJson, HoldsTheWholeRecord) {
+  const ordered_json document = check_json(support::make_check_record());
+  EXPECT_EQ(document.at("operator"), "Jo Müller");
+  EXPECT_EQ(document.at("limits").at("revision"), "1");
+  EXPECT_EQ(document.at("instruments")[0].at("calibrated"), "2026-05-04");
+  EXPECT_EQ(document.at("covariance_normalised").size(), 7u);
+  EXPECT_EQ(document.at("covariance_normalised")[6].size(), 7u);
+  EXPECT_EQ(document.at("timing").at("lateness_histogram_us"), ordered_json::parse("[[2,7],[4,9]]"));
+  ASSERT_EQ(document.at("runs").size(), 2u);
+  EXPECT_EQ(document.at("runs")[1].at("tracking_rms_N"), 211.0);
+  EXPECT_EQ(document.at("runs")[1].at("converged"), false);
+}
+
+TEST(CheckJson, WritesNoNumberWhereThereIsNone) {
+  CheckRecord record = support::make_check_record();
+  record.tracking_rms_N = std::numeric_limits<double>::quiet_NaN();
+  record.parameters[0].sd = std::numeric_limits<double>::infinity();
+  record.covariance_normalised.clear();
+  record.instruments = "damaged";
+  const ordered_json document = ordered_json::parse(check_json(record).dump());
+  EXPECT_TRUE(document.at("tracking_rms_N").is_null());
+  EXPECT_TRUE(document.at("parameters")[0].at("sd").is_null());
+  EXPECT_TRUE(document.at("covariance_normalised").empty());
+  EXPECT_TRUE(document.at("instruments").empty());
+}
+
+}  // namespace
+}  // namespace clampd

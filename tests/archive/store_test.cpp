@@ -1,0 +1,239 @@
+#include "clampd/archive/store.hpp"
+
+#include <cmath>
+#include <filesystem>
+#include <limits>
+#include <string>
+
+#include <SQLiteCpp/SQLiteCpp.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "clampd/archive/json.hpp"
+#include "support/check_records.hpp"
+#include "support/temporary_directory.hpp"
+
+namespace clampd {
+namespace {
+
+using support::make_check_record;
+using support::TemporaryDirectory;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using Access = CheckStore::Access;
+
+class Store : public ::testing::Test {
+ protected:
+  CheckStore open() {
+    auto store = CheckStore::open(path);
+    EXPECT_TRUE(store) << store.error().message;
+    return std::move(*store);
+  }
+  TemporaryDirectory directory;
+  std::string path = directory.path("deep/folder/checks.sqlite");
+};
+
+TEST_F(Store, GivesBackWhatItKept) {
+  const CheckRecord saved = make_check_record();
+  {
+    CheckStore store = open();
+    const auto done = store.save(saved);
+    ASSERT_TRUE(done) << done.error().message;
+  }
+  const auto store = CheckStore::open(path, Access::ReadOnly);
+  ASSERT_TRUE(store) << store.error().message;
+  const auto loaded = store->load(saved.id);
+  ASSERT_TRUE(loaded) << loaded.error().message;
+  EXPECT_EQ(check_json(*loaded), check_json(saved)) << "which holds every field but these:";
+  ASSERT_EQ(loaded->runs.size(), 2u);
+  EXPECT_EQ(loaded->runs[1].run.name, "repeat 2");
+  EXPECT_EQ(loaded->runs[1].run.time_s, saved.runs[1].run.time_s);
+  EXPECT_EQ(loaded->runs[1].run.torque_Nm, saved.runs[1].run.torque_Nm);
+  EXPECT_EQ(loaded->runs[1].run.velocity_rad_s, saved.runs[1].run.velocity_rad_s);
+  EXPECT_EQ(loaded->runs[1].run.force_N, saved.runs[1].run.force_N);
+  EXPECT_EQ(loaded->runs[1].run.position_rad, saved.runs[1].run.position_rad);
+  EXPECT_EQ(loaded->timing.lateness_histogram, saved.timing.lateness_histogram);
+  ASSERT_EQ(loaded->flight_recorder.size(), 3u);
+  const Sample& a = loaded->flight_recorder[2];
+  const Sample& b = saved.flight_recorder[2];
+  EXPECT_EQ(a.sample_index, b.sample_index);
+  EXPECT_EQ(a.brake_time_ns, b.brake_time_ns);
+  EXPECT_EQ(a.host_time_ns, b.host_time_ns);
+  EXPECT_EQ(a.torque_Nm, b.torque_Nm);
+  EXPECT_EQ(a.velocity_rad_s, b.velocity_rad_s);
+  EXPECT_EQ(a.force_N, b.force_N);
+  EXPECT_EQ(a.position_rad, b.position_rad);
+  EXPECT_EQ(a.torque_command_Nm, b.torque_command_Nm);
+  EXPECT_EQ(a.force_reference_N, b.force_reference_N);
+  EXPECT_EQ(a.lateness_ns, b.lateness_ns);
+  EXPECT_EQ(a.trajectory_index, b.trajectory_index);
+  EXPECT_EQ(a.repeat, b.repeat);
+  EXPECT_EQ(a.state, b.state);
+  EXPECT_EQ(a.phase, b.phase);
+  EXPECT_EQ(a.fault, b.fault);
+}
+
+TEST_F(Store, KeepsNumbersThatAreNone) {
+  CheckRecord saved = make_check_record();
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  saved.tracking_rms_N = nan;
+  saved.parameters[0].sd = nan;
+  saved.runs[0].estimate[3] = nan;
+  CheckStore store = open();
+  ASSERT_TRUE(store.save(saved));
+  const auto loaded = store.load(saved.id);
+  ASSERT_TRUE(loaded) << loaded.error().message;
+  EXPECT_TRUE(std::isnan(loaded->tracking_rms_N));
+  EXPECT_TRUE(std::isnan(loaded->parameters[0].sd));
+  EXPECT_TRUE(std::isnan(loaded->runs[0].estimate[3]));
+}
+
+TEST_F(Store, KeepsACheckWithoutRuns) {
+  CheckRecord saved;
+  saved.id = "20261120T000000000Z-00000000";
+  saved.instruments = "[]";
+  CheckStore store = open();
+  ASSERT_TRUE(store.save(saved));
+  const auto loaded = store.load("last");
+  ASSERT_TRUE(loaded) << loaded.error().message;
+  EXPECT_EQ(check_json(*loaded), check_json(saved));
+}
+
+TEST_F(Store, ListsTheNewestFirstAndFilters) {
+  CheckStore store = open();
+  for (int i = 0; i < 4; ++i) {
+    CheckRecord record = make_check_record("2026112" + std::to_string(i) + "T000000000Z-00000000");
+    record.started = "2026-11-2" + std::to_string(i) + "T00:00:00.000Z";
+    record.serial = i % 2 == 0 ? "even" : "odd";
+    record.verdict = i == 3 ? Verdict::Error : Verdict::Pass;
+    ASSERT_TRUE(store.save(record));
+  }
+  const auto days = [&](const CheckFilter& filter) {
+    std::vector<std::string> found;
+    const auto checks = store.list(filter);
+    for (const CheckSummary& check : *checks) found.push_back(check.id.substr(6, 2));
+    return found;
+  };
+  EXPECT_THAT(days({}), ElementsAre("23", "22", "21", "20"));
+  EXPECT_THAT(days({.serial = "even"}), ElementsAre("22", "20"));
+  EXPECT_THAT(days({.serial = "ev%n"}), ElementsAre());
+  EXPECT_THAT(days({.verdict = Verdict::Error}), ElementsAre("23"));
+  EXPECT_THAT(days({.verdict = Verdict::Pass}), ElementsAre("22", "21", "20"));
+  EXPECT_THAT(days({.since = "2026-11-22"}), ElementsAre("23", "22"));
+  EXPECT_THAT(days({.limit = 1}), ElementsAre("23"));
+  EXPECT_EQ(store.load("last")->id, "20261123T000000000Z-00000000");
+}
+
+TEST_F(Store, FindsAShortenedIdIfItIsUnambiguous) {
+  CheckStore store = open();
+  ASSERT_TRUE(store.save(make_check_record("20261120T000000000Z-aaaaaaaa")));
+  ASSERT_TRUE(store.save(make_check_record("20261121T000000000Z-bbbbbbbb")));
+  EXPECT_EQ(store.load("20261121")->id, "20261121T000000000Z-bbbbbbbb");
+  EXPECT_THAT(store.load("2026112").error().message, HasSubstr("more than one check"));
+  EXPECT_THAT(store.load("2027").error().message, HasSubstr("no check 2027"));
+  EXPECT_THAT(store.load("%").error().message, HasSubstr("no check %"));
+}
+
+TEST_F(Store, RefusesAnIdTwiceAndKeepsTheFirstWhole) {
+  CheckStore store = open();
+  ASSERT_TRUE(store.save(make_check_record()));
+  CheckRecord again = make_check_record();
+  again.serial = "other";
+  const auto refused = store.save(again);
+  ASSERT_FALSE(refused);
+  EXPECT_THAT(refused.error().message, HasSubstr("is already there"));
+  EXPECT_EQ(store.load("last")->serial, "EMB-0042");
+  EXPECT_EQ(store.load("last")->runs.size(), 2u);
+}
+
+TEST_F(Store, SavesAllOrNothing) {
+  CheckStore store = open();
+  CheckRecord record = make_check_record();
+  // A row of the flight recorder that is in the way makes the save fail in its last statement.
+  {
+    SQLite::Database other(path, SQLite::OPEN_READWRITE);
+    other.exec("PRAGMA foreign_keys = OFF");
+    other.exec("INSERT INTO flight_recorder SELECT '" + record.id +
+               "', 2, 0,0,0, 0,0,0,0,0, 0, 0,0,0, 0,0,0");
+  }
+  ASSERT_FALSE(store.save(record));
+  EXPECT_TRUE(store.list({})->empty());
+  SQLite::Database other(path, SQLite::OPEN_READONLY);
+  EXPECT_EQ(other.execAndGet("SELECT count(*) FROM runs").getInt(), 0);
+}
+
+TEST_F(Store, NoticesAChangedRun) {
+  CheckStore store = open();
+  ASSERT_TRUE(store.save(make_check_record()));
+  SQLite::Database(path, SQLite::OPEN_READWRITE)
+      .exec("UPDATE runs SET csv = replace(csv, '0.1', '0.2') WHERE position = 1");
+  const auto loaded = store.load("last");
+  ASSERT_FALSE(loaded);
+  EXPECT_THAT(loaded.error().message, HasSubstr("repeat 2 of check"));
+  EXPECT_THAT(loaded.error().message, HasSubstr("checksum does not match"));
+}
+
+TEST_F(Store, IsWriteAheadLoggedAndSynced) {
+  CheckStore store = open();
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 1);
+}
+
+TEST_F(Store, ReadsWhileAnotherWrites) {
+  CheckStore writer = open();
+  ASSERT_TRUE(writer.save(make_check_record()));
+  SQLite::Database other(path, SQLite::OPEN_READWRITE);
+  other.exec("BEGIN IMMEDIATE");
+  const auto reader = CheckStore::open(path, Access::ReadOnly);
+  ASSERT_TRUE(reader) << reader.error().message;
+  EXPECT_EQ(reader->list({})->size(), 1u);
+}
+
+TEST_F(Store, SaysWhoIsInTheWay) {
+  open();
+  auto store = CheckStore::open(path, Access::ReadWrite, 1);
+  ASSERT_TRUE(store);
+  SQLite::Database other(path, SQLite::OPEN_READWRITE);
+  other.exec("BEGIN IMMEDIATE");
+  const auto saved = store->save(make_check_record());
+  ASSERT_FALSE(saved);
+  EXPECT_THAT(saved.error().message, HasSubstr("another process is writing"));
+}
+
+TEST_F(Store, RefusesWhatIsNoDatabaseOfResults) {
+  const std::string garbage = directory.write("garbage.sqlite", std::string(5000, 'x'));
+  for (const Access access : {Access::ReadWrite, Access::ReadOnly}) {
+    const auto store = CheckStore::open(garbage, access);
+    ASSERT_FALSE(store);
+    EXPECT_THAT(store.error().message, HasSubstr("damaged or no database"));
+  }
+  EXPECT_EQ(directory.read("garbage.sqlite"), std::string(5000, 'x')) << "and leaves it alone";
+
+  EXPECT_THAT(CheckStore::open(directory.path(".")).error().message, HasSubstr("is a directory"));
+  EXPECT_THAT(CheckStore::open(garbage + "/x").error().message, HasSubstr("cannot make its folder"));
+  EXPECT_THAT(CheckStore::open(directory.path("none"), Access::ReadOnly).error().message,
+              HasSubstr("no check was saved yet"));
+  EXPECT_FALSE(std::filesystem::exists(directory.path("none")));
+}
+
+TEST_F(Store, RefusesADamagedDatabase) {
+  {
+    CheckStore store = open();
+    ASSERT_TRUE(store.save(make_check_record()));
+  }
+  std::filesystem::resize_file(path, 4096 * 3);
+  const auto store = CheckStore::open(path, Access::ReadOnly);
+  const std::string message = store ? store->load("last").error().message : store.error().message;
+  EXPECT_THAT(message, HasSubstr("damaged"));
+}
+
+TEST_F(Store, RefusesANewerSchema) {
+  open();
+  SQLite::Database(path, SQLite::OPEN_READWRITE).exec("PRAGMA user_version = 99");
+  const auto store = CheckStore::open(path);
+  ASSERT_FALSE(store);
+  EXPECT_THAT(store.error().message, HasSubstr("newer version of clampd (schema 99"));
+}
+
+}  // namespace
+}  // namespace clampd

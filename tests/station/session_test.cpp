@@ -1,0 +1,216 @@
+#include "clampd/station/session.hpp"
+
+#include <cmath>
+#include <limits>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "clampd/record/checksum.hpp"
+#include "station/sample_stream.hpp"
+
+namespace clampd {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+using Runs = std::span<const Run>;  // inside a TEST, plain Run is a member of testing::Test
+
+constexpr std::int32_t kRows = 30;
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+/// An estimator that found `theta` with 1 % uncertainty.
+Estimator finds(const ParameterVector& theta, double force_rms_N = 5.0) {
+  return [=](Runs runs, const OutputErrorOptions&) {
+    OutputErrorSummary summary;
+    summary.termination = Termination::Converged;
+    summary.parameters.theta = theta;
+    summary.covariance_normalised = 1e-4 * ParameterMatrix::Identity();
+    summary.covariance_normalised_over_runs = ParameterMatrix::Constant(kNaN);
+    summary.force_rms_N = force_rms_N;
+    summary.velocity_rms_rad_s = 0.1;
+    summary.run_force_rms_N.assign(runs.size(), force_rms_N);
+    return summary;
+  };
+}
+
+class Session : public ::testing::TestWithParam<WorkerMode> {
+ protected:
+  CheckRecord check(const std::vector<Sample>& stream, const Estimator& estimator,
+                    CheckOutcome outcome = {}) {
+    CheckSession session(configuration, default_limits(), request, context, estimator, GetParam());
+    for (const Sample& sample : stream) session.consume(sample);
+    outcome.stopped_utc_ns = context.started_utc_ns + 5'000'000'000;
+    return session.finish(std::move(outcome));
+  }
+
+  StationConfiguration configuration;
+  CheckRequest request{.serial = "S-1", .repeats = 3, .operator_name = "", .part_number = "P", .batch = ""};
+  CheckContext context{.trajectory_rows = kRows,
+                       .trajectory_sha256 = "abc",
+                       .software_version = "1.2.3",
+                       .started_utc_ns = 1'795'218'067'123'000'000};
+  std::vector<Sample> samples = support::sample_stream({.rows = kRows, .repeats = 3});
+};
+
+TEST_P(Session, AGoodBrakePassesWithAFullRecord) {
+  configuration.name = "line 3";
+  configuration.operator_name = "Jo";
+  configuration.instruments = {{"load \"cell\"", "LC\\1", "2026-05-04"}};
+  CheckOutcome outcome;
+  outcome.timing.ticks = 1000;
+  outcome.timing.lateness_histogram = {1, 2};
+  const CheckRecord record = check(samples, finds(nominal_parameters()), outcome);
+  EXPECT_EQ(record.verdict, Verdict::Pass) << record.reason;
+  EXPECT_THAT(record.id, StartsWith("20261120T234107123Z-"));
+  EXPECT_EQ(record.serial, "S-1");
+  EXPECT_EQ(record.part_number, "P");
+  EXPECT_EQ(record.operator_name, "Jo");
+  EXPECT_EQ(record.station, "line 3");
+  EXPECT_EQ(record.software_version, "1.2.3");
+  EXPECT_EQ(record.trajectory_sha256, "abc");
+  EXPECT_EQ(record.limits_file, "built-in");
+  EXPECT_EQ(record.limits_sha256.size(), 64u);
+  EXPECT_EQ(record.instruments, R"([{"name":"load \"cell\"","serial":"LC\\1","calibrated":"2026-05-04"}])");
+  EXPECT_TRUE(record.simulated);
+  EXPECT_EQ(record.started, "2026-11-20T23:41:07.123Z");
+  EXPECT_EQ(record.stopped, "2026-11-20T23:41:12.123Z");
+  EXPECT_GT(record.duration_s, 0.2);
+  EXPECT_EQ(record.repeats, 3u);
+  ASSERT_EQ(record.runs.size(), 3u);
+  EXPECT_NEAR(record.tracking_rms_N, support::kStreamTrackingError_N, 1e-9);
+  EXPECT_EQ(record.covariance_normalised.size(), 49u);
+  EXPECT_EQ(record.timing.ticks, 1000u);
+  ASSERT_EQ(record.parameters.size(), 7u);
+  EXPECT_NEAR(record.parameters[k2].sd, 0.01 * 35.2, 1e-12);
+  EXPECT_NEAR(record.parameters[k1].sd, 0.01 * 0.354, 1e-12) << "positive although k1 is negative";
+}
+
+TEST_P(Session, ASoftCaliperFails) {
+  ParameterVector soft = nominal_parameters();
+  soft[k2] *= 0.7;
+  const CheckRecord record = check(samples, finds(soft));
+  EXPECT_EQ(record.verdict, Verdict::Fail);
+  EXPECT_THAT(record.reason, StartsWith("k2 is"));
+}
+
+TEST_P(Session, AFaultEndsInAnErrorWithWhatWasRecorded) {
+  samples.resize(130);  // in the second repeat
+  CheckOutcome outcome;
+  outcome.fault = FaultCause::FeedbackStale;
+  outcome.fault_text = "The brake went silent.";
+  outcome.flight_recorder.assign(samples.end() - 10, samples.end());
+  const CheckRecord record = check(samples, finds(nominal_parameters()), outcome);
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_EQ(record.reason, "The brake went silent.");
+  EXPECT_EQ(record.fault, FaultCause::FeedbackStale);
+  EXPECT_EQ(record.runs.size(), 1u);
+  EXPECT_EQ(record.flight_recorder.size(), 10u);
+}
+
+TEST_P(Session, AFaultBeforeTheFirstSampleStillMakesARecord) {
+  CheckOutcome outcome;
+  outcome.fault = FaultCause::FeedbackMissing;
+  const CheckRecord record = check({}, finds(nominal_parameters()), outcome);
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_TRUE(record.runs.empty());
+  EXPECT_EQ(record.duration_s, 0.0);
+}
+
+TEST_P(Session, ALostSampleIsAnError) {
+  samples.erase(samples.begin() + 70);
+  const CheckRecord record = check(samples, finds(nominal_parameters()));
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_EQ(record.timing.lost_samples, 1u);
+}
+
+TEST_P(Session, SamplesThatThePortLostAreAnErrorToo) {
+  CheckOutcome outcome;
+  outcome.health.lost_samples = 1;
+  outcome.timing.lost_samples = 2;
+  const CheckRecord record = check(samples, finds(nominal_parameters()), outcome);
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_EQ(record.timing.lost_samples, 3u);
+}
+
+TEST_P(Session, AFitThatDoesNotExplainTheRunsIsAnError) {
+  const CheckRecord record = check(samples, finds(nominal_parameters(), 5000.0));
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_THAT(record.reason, HasSubstr("does not explain the measured force"));
+}
+
+TEST_P(Session, WithoutATareThereIsNoVerdict) {
+  std::erase_if(samples, [](const Sample& sample) { return sample.phase == CheckPhase::Tare; });
+  const CheckRecord record = check(samples, finds(nominal_parameters()));
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_THAT(record.reason, HasSubstr("not tared"));
+}
+
+TEST_P(Session, AFitThatDoesNotConvergeIsAnErrorWithItsReason) {
+  const CheckRecord record = check(samples, [](Runs, const OutputErrorOptions&) {
+    OutputErrorSummary summary;
+    summary.termination = Termination::NotIdentifiable;
+    summary.message = "the information matrix is singular";
+    summary.parameters.theta.setConstant(kNaN);
+    return summary;
+  });
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_THAT(record.reason, HasSubstr("the information matrix is singular"));
+  EXPECT_TRUE(record.parameters.empty());
+}
+
+TEST_P(Session, ShowsItsProgress) {
+  CheckSession session(configuration, default_limits(), request, context, finds(nominal_parameters()),
+                       GetParam());
+  EXPECT_EQ(session.progress().repeats, 3u);
+  EXPECT_EQ(session.progress().recorded, 0u);
+  for (const Sample& sample : samples) session.consume(sample);
+  EXPECT_EQ(session.progress().recorded, 3u);
+  EXPECT_GT(session.progress().samples, 90u);
+  session.finish({});
+  EXPECT_EQ(session.progress().identified, 3u);
+}
+
+INSTANTIATE_TEST_SUITE_P(Modes, Session, ::testing::Values(WorkerMode::Background, WorkerMode::Synchronous),
+                         [](const auto& mode) {
+                           return mode.param == WorkerMode::Background ? "background" : "synchronous";
+                         });
+
+TEST(ReportedSd, IsTheLargestOfWhatIsKnown) {
+  OutputErrorSummary joint;
+  joint.covariance_normalised = 1e-4 * ParameterMatrix::Identity();
+  joint.covariance_normalised_over_runs = ParameterMatrix::Constant(kNaN);
+  EXPECT_NEAR(reported_sd_normalised(joint, {})[k2], 0.01, 1e-12);
+
+  std::vector<RunRecord> runs(4);
+  const ParameterVector nominal = nominal_parameters();
+  for (std::size_t i = 0; i < runs.size(); ++i) {
+    runs[i].converged = true;
+    runs[i].estimate.assign(nominal.begin(), nominal.end());
+    runs[i].estimate[k2] *= 1.0 + 0.1 * static_cast<double>(i);  // 1.0 to 1.3: sd 0.129, of the mean 0.0645
+  }
+  const ParameterVector scattered = reported_sd_normalised(joint, runs);
+  EXPECT_NEAR(scattered[k2], std::sqrt(0.05 / 12.0), 1e-12);
+  EXPECT_NEAR(scattered[k1], 0.01, 1e-12);
+
+  joint.covariance_normalised_over_runs = 9e-4 * ParameterMatrix::Identity();
+  joint.covariance_normalised_over_runs(TC, TC) = 1e-6;
+  const ParameterVector sandwich = reported_sd_normalised(joint, runs);
+  EXPECT_NEAR(sandwich[k2], 0.03, 1e-12);
+  EXPECT_NEAR(sandwich[TC], 0.01, 1e-12);
+}
+
+TEST(CheckRequest, IsCheckedBeforeAnythingMoves) {
+  EXPECT_TRUE(validate({.serial = "S-1", .repeats = 200}));
+  EXPECT_THAT(validate({.serial = " "}).error().message, HasSubstr("serial number is empty"));
+  EXPECT_THAT(validate({.serial = std::string(81, 'x')}).error().message, HasSubstr("longer than 80"));
+  EXPECT_THAT(validate({.serial = "a\nb"}).error().message, HasSubstr("control characters"));
+  EXPECT_THAT(validate({.serial = "a", .repeats = 201}).error().message, HasSubstr("too many"));
+  EXPECT_THAT(validate({.serial = "a", .operator_name = "\x1b[31m"}).error().message,
+              HasSubstr("the operator"));
+}
+
+}  // namespace
+}  // namespace clampd
