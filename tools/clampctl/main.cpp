@@ -8,7 +8,6 @@ int main(int argc, char** argv) {
   using namespace clampd;
   CLI::App app{"clampctl checks electromechanical brakes and works with what clampd recorded."};
   app.set_version_flag("--version", std::string(kVersion));
-  app.require_subcommand(1);
   app.fallthrough();
   app.footer(
       "Exit codes: 0 pass or success, 1 the brake fails, 2 wrong usage or bad input,\n"
@@ -28,6 +27,10 @@ int main(int argc, char** argv) {
 
   try {
     app.parse(argc, argv);
+    if (app.get_subcommands().empty()) {
+      cli::print_error("name a command, for example `clampctl run --serial S`; `clampctl --help` lists them");
+      return cli::kBadInput;
+    }
   } catch (const CLI::Success& request) {  // --help, --version
     return app.exit(request);
   } catch (const CLI::ParseError& mistake) {

@@ -82,6 +82,11 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& targe
     if (!written) return tl::unexpected(Error{written.error().message + " (control.token_file)"});
   }
 
+  // Not SO_REUSEPORT, the library's default: a second daemon must not share the port with the first.
+  server.set_socket_options([](socket_t socket) {
+    const int on = 1;
+    setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+  });
   server.set_payload_max_length(kLargestRequest);
   server.set_read_timeout(5);
   server.set_write_timeout(5);
