@@ -42,7 +42,7 @@ struct LoopStatistics {
 };
 
 /// Calls work.tick(now, lateness, skipped) on the grid until `stop`, then work.shutdown(now) once.
-/// `Clock` offers now_ns() and sleep_until(deadline_ns), which may return early or late.
+/// `Clock` offers now_ns() and wait_until(deadline_ns), which may return early or late.
 template <class Clock, class Work>
 CLAMPD_REALTIME void run_cyclic(Clock& clock, Work& work, const std::atomic<bool>& stop,
                                 LoopStatistics& statistics) noexcept {
@@ -50,7 +50,7 @@ CLAMPD_REALTIME void run_cyclic(Clock& clock, Work& work, const std::atomic<bool
   while (!stop.load(std::memory_order_acquire)) {
     std::int64_t now_ns = clock.now_ns();
     while (now_ns < grid.deadline_ns()) {
-      clock.sleep_until(grid.deadline_ns());
+      clock.wait_until(grid.deadline_ns());
       now_ns = clock.now_ns();
     }
     const TickGrid::Wake wake = grid.woke(now_ns);

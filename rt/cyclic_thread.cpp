@@ -24,7 +24,7 @@ constexpr std::size_t kHeapPrefaultBytes = 16 * 1024 * 1024;
 class MonotonicClock {
  public:
   CLAMPD_REALTIME std::int64_t now_ns() noexcept { return monotonic_now_ns(); }
-  CLAMPD_REALTIME void sleep_until(std::int64_t deadline_ns) noexcept {
+  CLAMPD_REALTIME void wait_until(std::int64_t deadline_ns) noexcept {
     timespec deadline{};
     deadline.tv_sec = static_cast<std::time_t>(deadline_ns / kNanosecondsPerSecond);
     deadline.tv_nsec = static_cast<long>(deadline_ns % kNanosecondsPerSecond);

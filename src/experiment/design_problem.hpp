@@ -34,6 +34,9 @@ class DesignProblem {
   /// Their gradients at `x` as well.
   void differentiate(std::span<const double> x);
 
+  /// Makes the next evaluation cost what it costs, whatever this object was used for before.
+  void forget() { evaluated_ = differentiated_ = false; }
+
   double objective() const { return objective_; }  ///< infinite where M is singular or the run diverges
   const Eigen::VectorXd& constraint_values() const { return constraint_; }
   const Eigen::VectorXd& objective_gradient() const { return objective_gradient_; }

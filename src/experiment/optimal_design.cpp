@@ -156,6 +156,7 @@ std::vector<Candidate> Search::in_parallel(std::size_t count, const Task& task) 
       // Each task draws from its own stream, so that no result depends on which thread does it.
       std::seed_seq seed{options_.seed, options_.seed >> 32, task_ + i};
       std::mt19937_64 random(seed);
+      problem.forget();
       found[i] = task(problem, random, i);
     }
   };

@@ -37,8 +37,9 @@ constexpr std::size_t kFewestRunsForSandwich = 8;
 /// deviations. The cost has faint kinks, where a stop crosses a sample, that make a finer search bounce.
 constexpr double kCostTolerance = 1e-3;
 
-/// The noise is re-estimated after so many iterations, until it changes by less than this share.
+/// The noise is re-estimated after each round of iterations, until it changes by less than this share.
 constexpr double kNoiseTolerance = 1e-4;
+constexpr int kFirstRoundIterations = 40;
 constexpr int kRoundIterations = 8;
 
 /// More attempts from other starts follow if a fit's residuals exceed the noise seen without a model this
@@ -346,9 +347,19 @@ class Solver {
       if (other.score < kept.score) kept = std::move(other);
     };
     consider(identify::equation_error_start(runs_, options_.start, seen_));
-    // Torque noise makes the residuals of the right parameters larger than the sensors' noise too; that two
-    // unlike starts end alike tells this from a wrong minimum.
-    if (kept.settled && std::abs(last_score - first_score) < kSameMinimum) return kept;
+    // Torque noise makes the residuals of the right parameters larger than the sensors' noise too; that unlike starts
+    // end alike tells this from a wrong minimum. Whether the brake stuck at some instant is what minima differ in most,
+    // and both starts may have it wrong: so also from less and from more static friction than found.
+    if (kept.settled && std::abs(last_score - first_score) < kSameMinimum) {
+      const double score = kept.score;
+      const ParameterVector found = to_normalised(kept.unknowns.data()).cwiseProduct(nominal_parameters());
+      for (const double factor : {0.75, 1.35}) {
+        ParameterVector theta = found;
+        theta[Ts0] *= factor;
+        if (within_bounds(theta)) consider(theta);
+      }
+      if (score - kept.score < kSameMinimum) return kept;
+    }
     consider(nominal_parameters());
     constexpr double kFactors[4][kParameterCount] = {{1.5, 0.7, 1.5, 0.7, 1.5, 0.7, 1.5},
                                                      {0.7, 1.3, 0.6, 1.5, 0.7, 1.3, 0.6},

@@ -133,7 +133,8 @@ struct RealtimeBan {
 
 /// Set-up code that lives in rt/ and may do what the tick may not.
 bool is_setup_code(std::string_view path) {
-  return starts_with(path, "rt/cyclic_thread") || starts_with(path, "rt/readiness");
+  return starts_with(path, "rt/cyclic_thread") || starts_with(path, "rt/readiness") ||
+         starts_with(path, "rt/supervisor_settings");
 }
 
 void check_includes(const std::string& path, std::string_view room, std::string_view content,

@@ -17,7 +17,7 @@ struct VirtualClock {
   std::int64_t early_returns = 0;
 
   std::int64_t now_ns() noexcept { return now; }
-  void sleep_until(std::int64_t deadline_ns) noexcept {
+  void wait_until(std::int64_t deadline_ns) noexcept {
     if (early_returns > 0) {
       --early_returns;
       now += 100;

@@ -211,7 +211,7 @@ INSTANTIATE_TEST_SUITE_P(
         BadInput{"ResultsVerdict", "results --verdict GOOD", "GOOD"},
         BadInput{"DoctorInterface", "doctor --interface can77 --seconds 0", "can77"},
         BadInput{"DoctorConfiguration", "doctor --config not.toml", "not.toml"}),
-    [](const auto& info) { return std::string(info.param.name); });
+    [](const auto& instance) { return std::string(instance.param.name); });
 
 /// What the programs say where there is no interface can77, or no CAN in the kernel at all.
 const auto kNoInterface = AnyOf(HasSubstr("no interface can77"), HasSubstr("no raw CAN socket"));
@@ -229,17 +229,18 @@ TEST_F(CommandLine, TheDaemonRefusesBadInput) {
 }
 
 TEST_F(CommandLine, ThePlantRefusesBadInput) {
-  const std::string interface_and_dbc = std::string("--interface can77 --dbc ") + CLAMPD_SOURCE_DIR + "/configs/brake.dbc";
+  const std::string configs = std::string(CLAMPD_SOURCE_DIR) + "/configs/";
+  const std::string complete = "--interface can77 --dbc " + configs + "brake.dbc --config " + configs + "plant.toml";
   const auto refused = [this](const std::string& arguments, const ::testing::Matcher<const std::string&>& says) {
     const Outcome outcome = run(std::string(CLAMPD_PLANT) + " " + arguments);
     EXPECT_EQ(outcome.exit_code, 2) << outcome.output;
     EXPECT_THAT(outcome.output, says);
   };
-  refused("--interface can77", HasSubstr("--dbc"));
-  refused("--interface can77 --dbc nowhere.dbc", HasSubstr("nowhere.dbc"));
-  refused(interface_and_dbc + " --fast", HasSubstr("--fast"));
-  refused(interface_and_dbc + " --config nowhere.toml", HasSubstr("nowhere.toml"));
-  refused(interface_and_dbc, kNoInterface);
+  refused("--interface can77", HasSubstr("is required"));
+  refused(complete + " --fast", HasSubstr("--fast"));
+  refused("--interface can77 --dbc nowhere.dbc --config " + configs + "plant.toml", HasSubstr("nowhere.dbc"));
+  refused("--interface can77 --dbc " + configs + "brake.dbc --config nowhere.toml", HasSubstr("nowhere.toml"));
+  refused(complete, kNoInterface);
 }
 
 TEST_F(CommandLine, HelpAndVersionAreNoErrors) {
