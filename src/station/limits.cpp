@@ -15,18 +15,6 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-/// configs/limits.toml in code, times nominal; a test keeps both the same. The reasons for the figures are
-/// there.
-constexpr std::array<LimitInterval, kParameterCount> kDefaultNormalised{{
-    {0.70, 1.30},  // k1
-    {0.85, 1.15},  // k2
-    {0.50, 2.00},  // TC
-    {0.30, 1.70},  // Ts0
-    {0.25, 3.00},  // Tv
-    {0.75, 1.25},  // mus
-    {0.25, 2.00},  // ws
-}};
-
 LimitInterval times_nominal(const LimitInterval& normalised, double nominal) {
   const double a = normalised.lower * nominal;
   const double b = normalised.upper * nominal;
@@ -34,22 +22,6 @@ LimitInterval times_nominal(const LimitInterval& normalised, double nominal) {
 }
 
 }  // namespace
-
-LimitSet default_limits() {
-  LimitSet limits;
-  limits.file = "built-in";
-  limits.revision = "1";
-  limits.author = "clampd";
-  limits.changed = "2026-11-20";
-  std::string text;
-  for (std::size_t i = 0; i < kParameterCount; ++i) {
-    limits.intervals[i] = times_nominal(kDefaultNormalised[i], kParameterTable[i].nominal);
-    text += fmt::format("{} {} {}\n", kParameterTable[i].name, limits.intervals[i].lower,
-                        limits.intervals[i].upper);
-  }
-  limits.sha256 = sha256_hex(text);
-  return limits;
-}
 
 Result<LimitSet> parse_limits(const std::string& text, const std::string& path) {
   const Result<toml::table> parsed = parse_toml(text, path);

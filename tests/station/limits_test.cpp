@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "clampd/record/checksum.hpp"
+#include "support/shipped_limits.hpp"
 
 namespace clampd {
 namespace {
@@ -56,20 +57,8 @@ TEST(Limits, NormalisedLimitsOfANegativeNominalKeepTheirOrder) {
   EXPECT_DOUBLE_EQ(limits->intervals[k1].upper, 0.7 * -0.354);
 }
 
-TEST(Limits, TheShippedFileIsTheBuiltInSet) {
-  const auto shipped = read_limits(CLAMPD_SOURCE_DIR "/configs/limits.toml");
-  ASSERT_TRUE(shipped) << shipped.error().message;
-  const LimitSet built_in = default_limits();
-  EXPECT_EQ(shipped->revision, built_in.revision);
-  EXPECT_EQ(shipped->guard_band_k, built_in.guard_band_k);
-  for (std::size_t i = 0; i < kParameterCount; ++i) {
-    EXPECT_EQ(shipped->intervals[i].lower, built_in.intervals[i].lower) << kParameterTable[i].name;
-    EXPECT_EQ(shipped->intervals[i].upper, built_in.intervals[i].upper) << kParameterTable[i].name;
-  }
-}
-
-TEST(Limits, TheBuiltInSetPassesNominalAndNotASoftCaliper) {
-  const LimitSet limits = default_limits();
+TEST(Limits, TheShippedSetPassesNominalAndNotASoftCaliper) {
+  const LimitSet limits = support::shipped_limits();
   const ParameterVector nominal = nominal_parameters();
   for (std::size_t i = 0; i < kParameterCount; ++i) {
     EXPECT_LT(limits.intervals[i].lower, nominal[static_cast<Eigen::Index>(i)]);

@@ -9,6 +9,7 @@
 
 #include "clampd/record/checksum.hpp"
 #include "station/sample_stream.hpp"
+#include "support/shipped_limits.hpp"
 
 namespace clampd {
 namespace {
@@ -40,7 +41,7 @@ class Session : public ::testing::TestWithParam<WorkerMode> {
  protected:
   CheckRecord check(const std::vector<Sample>& stream, const Estimator& estimator,
                     CheckOutcome outcome = {}) {
-    CheckSession session(configuration, default_limits(), request, context, estimator, GetParam());
+    CheckSession session(configuration, support::shipped_limits(), request, context, estimator, GetParam());
     for (const Sample& sample : stream) session.consume(sample);
     outcome.stopped_utc_ns = context.started_utc_ns + 5'000'000'000;
     return session.finish(std::move(outcome));
@@ -71,7 +72,7 @@ TEST_P(Session, AGoodBrakePassesWithAFullRecord) {
   EXPECT_EQ(record.station, "line 3");
   EXPECT_EQ(record.software_version, "1.2.3");
   EXPECT_EQ(record.trajectory_sha256, "abc");
-  EXPECT_EQ(record.limits_file, "built-in");
+  EXPECT_EQ(record.limits_file, support::shipped_limits().file);
   EXPECT_EQ(record.limits_sha256.size(), 64u);
   EXPECT_EQ(record.instruments, R"([{"name":"load \"cell\"","serial":"LC\\1","calibrated":"2026-05-04"}])");
   EXPECT_TRUE(record.simulated);
@@ -162,7 +163,7 @@ TEST_P(Session, AFitThatDoesNotConvergeIsAnErrorWithItsReason) {
 }
 
 TEST_P(Session, ShowsItsProgress) {
-  CheckSession session(configuration, default_limits(), request, context, finds(nominal_parameters()),
+  CheckSession session(configuration, support::shipped_limits(), request, context, finds(nominal_parameters()),
                        GetParam());
   EXPECT_EQ(session.progress().repeats, 3u);
   EXPECT_EQ(session.progress().recorded, 0u);

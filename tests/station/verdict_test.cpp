@@ -5,6 +5,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include "support/shipped_limits.hpp"
 
 namespace clampd {
 namespace {
@@ -27,7 +28,7 @@ CheckFacts good_facts() {
 }
 
 Judgement judged(const CheckFacts& facts) {
-  return judge(facts, default_limits(), ValiditySettings{});
+  return judge(facts, support::shipped_limits(), ValiditySettings{});
 }
 
 TEST(JudgeParameter, GuardBandsAtBothLimits) {

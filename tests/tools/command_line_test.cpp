@@ -4,20 +4,17 @@
 
 #include <cstdio>
 #include <filesystem>
-#include <fstream>
-#include <sstream>
 #include <string>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include "support/temporary_folder.hpp"
+#include "support/temporary_directory.hpp"
 
 namespace clampd {
 namespace {
 
-namespace fs = std::filesystem;
 using ::testing::AllOf;
 using ::testing::AnyOf;
 using ::testing::HasSubstr;
@@ -33,7 +30,7 @@ class CommandLine : public ::testing::Test {
  protected:
   /// Runs in the test's folder, which is also where results go.
   Outcome run(const std::string& command) {
-    const std::string line = "cd '" + folder_.path().string() + "' && STATE_DIRECTORY='" + folder_ / "state" + "' " +
+    const std::string line = "cd '" + folder_.path("") + "' && STATE_DIRECTORY='" + folder_.path("state") + "' " +
                              command + " 2>&1";
     FILE* pipe = popen(line.c_str(), "r");
     Outcome outcome;
@@ -45,15 +42,11 @@ class CommandLine : public ::testing::Test {
   }
   Outcome clampctl(const std::string& arguments) { return run(std::string(CLAMPCTL) + " " + arguments); }
 
-  void write(const std::string& name, const std::string& text) { std::ofstream(folder_ / name) << text; }
-  std::string read(const std::string& name) {
-    std::stringstream text;
-    text << std::ifstream(folder_ / name).rdbuf();
-    return text.str();
-  }
-  bool exists(const std::string& name) { return fs::exists(folder_ / name); }
+  void write(const std::string& name, const std::string& text) { folder_.write(name, text); }
+  std::string read(const std::string& name) { return folder_.read(name); }
+  bool exists(const std::string& name) { return std::filesystem::exists(folder_.path(name)); }
 
-  support::TemporaryFolder folder_;
+  support::TemporaryDirectory folder_;
 };
 
 constexpr const char* kRunHeader = "time_s,torque_Nm,velocity_rad_s,force_N\n";

@@ -8,7 +8,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "support/temporary_folder.hpp"
+#include "support/temporary_directory.hpp"
 
 #include <httplib.h>  // last: its <resolv.h> breaks Eigen's headers
 
@@ -59,8 +59,8 @@ class ControlApi : public ::testing::Test {
   httplib::Client http() { return httplib::Client("127.0.0.1", server_->port()); }
   control::Client client() { return control::Client("127.0.0.1", server_->port(), token_file_); }
 
-  support::TemporaryFolder folder_;
-  std::string token_file_ = folder_ / "token";
+  support::TemporaryDirectory folder_;
+  std::string token_file_ = folder_.path("token");
   ToyStation station_;
   std::unique_ptr<ControlServer> server_;
 };
@@ -123,7 +123,9 @@ TEST_F(ControlApi, RefusesNonsense) {
     EXPECT_EQ(answer->status, 400) << body << ": " << answer->body;
   }
   const auto large = http.Post("/v1/checks", headers, std::string(1 << 20, ' '), "application/json");
-  if (large) EXPECT_EQ(large->status, 413);
+  if (large) {
+    EXPECT_EQ(large->status, 413);
+  }
   EXPECT_TRUE(station_.serial.empty());
   const auto limit = http.Get("/v1/results?limit=-3");
   ASSERT_TRUE(limit);

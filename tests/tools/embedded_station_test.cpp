@@ -107,7 +107,9 @@ TEST_P(WireFaults, EndInErrorWithTheCauseNamed) {
   ASSERT_FALSE(record.flight_recorder.empty());
   // Judged by what the brake saw: its torque is zero within 5 ms of the first fault sample.
   for (const Sample& sample : record.flight_recorder)
-    if (sample.brake_time_ns > 4'005'000'000) EXPECT_EQ(sample.torque_command_Nm, 0.0);
+    if (sample.brake_time_ns > 4'005'000'000) {
+      EXPECT_EQ(sample.torque_command_Nm, 0.0);
+    }
 }
 
 INSTANTIATE_TEST_SUITE_P(OnTheWire, WireFaults,

@@ -16,7 +16,7 @@ struct LimitInterval {
 
 /// What a brake is judged by.
 struct LimitSet {
-  std::string file;  ///< "built-in" where there is none
+  std::string file;  ///< where they came from
   std::string revision;
   std::string author;
   std::string changed;        ///< date, YYYY-MM-DD
@@ -32,7 +32,5 @@ struct LimitSet {
 Result<LimitSet> read_limits(const std::string& path);
 Result<LimitSet> parse_limits(const std::string& text, const std::string& path);
 
-/// The same limits as configs/limits.toml, for a station without a limits file.
-LimitSet default_limits();
 
 }  // namespace clampd
