@@ -6,7 +6,8 @@
 namespace clampd {
 
 void assertion_failed(const char* expression, const char* file, int line) noexcept {
-  std::fprintf(stderr, "clampd: internal error: expected %s at %s:%d. Please report this.\n", expression, file, line);
+  std::fprintf(stderr, "clampd: internal error: expected %s at %s:%d. Please report this.\n", expression,
+               file, line);
   std::abort();
 }
 

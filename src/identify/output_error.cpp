@@ -347,9 +347,10 @@ class Solver {
       if (other.score < kept.score) kept = std::move(other);
     };
     consider(identify::equation_error_start(runs_, options_.start, seen_));
-    // Torque noise makes the residuals of the right parameters larger than the sensors' noise too; that unlike starts
-    // end alike tells this from a wrong minimum. Whether the brake stuck at some instant is what minima differ in most,
-    // and both starts may have it wrong: so also from less and from more static friction than found.
+    // Torque noise makes the residuals of the right parameters larger than the sensors' noise too; that
+    // unlike starts end alike tells this from a wrong minimum. Whether the brake stuck at some instant is
+    // what minima differ in most, and both starts may have it wrong: so also from less and from more static
+    // friction than found.
     if (kept.settled && std::abs(last_score - first_score) < kSameMinimum) {
       const double score = kept.score;
       const ParameterVector found = to_normalised(kept.unknowns.data()).cwiseProduct(nominal_parameters());

@@ -163,8 +163,8 @@ TEST_P(Session, AFitThatDoesNotConvergeIsAnErrorWithItsReason) {
 }
 
 TEST_P(Session, ShowsItsProgress) {
-  CheckSession session(configuration, support::shipped_limits(), request, context, finds(nominal_parameters()),
-                       GetParam());
+  CheckSession session(configuration, support::shipped_limits(), request, context,
+                       finds(nominal_parameters()), GetParam());
   EXPECT_EQ(session.progress().repeats, 3u);
   EXPECT_EQ(session.progress().recorded, 0u);
   for (const Sample& sample : samples) session.consume(sample);

@@ -30,12 +30,13 @@ class CommandLine : public ::testing::Test {
  protected:
   /// Runs in the test's folder, which is also where results go.
   Outcome run(const std::string& command) {
-    const std::string line = "cd '" + folder_.path("") + "' && STATE_DIRECTORY='" + folder_.path("state") + "' " +
-                             command + " 2>&1";
+    const std::string line = "cd '" + folder_.path("") + "' && STATE_DIRECTORY='" + folder_.path("state") +
+                             "' " + command + " 2>&1";
     FILE* pipe = popen(line.c_str(), "r");
     Outcome outcome;
     char buffer[4096];
-    while (const std::size_t count = fread(buffer, 1, sizeof buffer, pipe)) outcome.output.append(buffer, count);
+    while (const std::size_t count = fread(buffer, 1, sizeof buffer, pipe))
+      outcome.output.append(buffer, count);
     const int status = pclose(pipe);
     outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
     return outcome;
@@ -83,8 +84,10 @@ TEST_F(CommandLine, ChecksAGoodBrake) {
 }
 
 TEST_F(CommandLine, FailsASoftBrakeAndNamesTheParameter) {
-  write("soft.toml", "[parameters_normalised]\nk2 = 0.7\n[sensors]\nforce_noise_N = 30.0\nvelocity_noise_rad_s = 0.3\n");
-  const Outcome outcome = clampctl("run --serial SOFT-1 --repeats 8 --simulated-brake soft.toml --json check.json");
+  write("soft.toml",
+        "[parameters_normalised]\nk2 = 0.7\n[sensors]\nforce_noise_N = 30.0\nvelocity_noise_rad_s = 0.3\n");
+  const Outcome outcome =
+      clampctl("run --serial SOFT-1 --repeats 8 --simulated-brake soft.toml --json check.json");
   EXPECT_EQ(outcome.exit_code, 1) << outcome.output;
   const auto document = nlohmann::json::parse(read("check.json"));
   EXPECT_EQ(document.at("verdict"), "FAIL");
@@ -94,8 +97,9 @@ TEST_F(CommandLine, FailsASoftBrakeAndNamesTheParameter) {
 }
 
 TEST_F(CommandLine, ABrakeThatStopsSendingIsAnErrorOfTheStation) {
-  write("silent.toml", "[sensors]\nforce_noise_N = 30.0\nvelocity_noise_rad_s = 0.3\n"
-                       "[[fault]]\nkind = \"silent\"\nat_s = 3.0\nduration_s = 100.0\n");
+  write("silent.toml",
+        "[sensors]\nforce_noise_N = 30.0\nvelocity_noise_rad_s = 0.3\n"
+        "[[fault]]\nkind = \"silent\"\nat_s = 3.0\nduration_s = 100.0\n");
   const Outcome outcome = clampctl("run --serial MUTE-1 --simulated-brake silent.toml --json check.json");
   EXPECT_EQ(outcome.exit_code, 3) << outcome.output;
   EXPECT_EQ(nlohmann::json::parse(read("check.json")).at("verdict"), "ERROR");
@@ -105,7 +109,8 @@ TEST_F(CommandLine, ABrakeThatStopsSendingIsAnErrorOfTheStation) {
 TEST_F(CommandLine, SimulatesAndIdentifies) {
   const Outcome simulated = clampctl("simulate --manoeuvre optimal --seed 5 --repeats 3 --out runs");
   EXPECT_EQ(simulated.exit_code, 0) << simulated.output;
-  const Outcome identified = clampctl("identify runs/optimal-001.csv runs/optimal-002.csv runs/optimal-003.csv --json fit.json");
+  const Outcome identified =
+      clampctl("identify runs/optimal-001.csv runs/optimal-002.csv runs/optimal-003.csv --json fit.json");
   EXPECT_EQ(identified.exit_code, 0) << identified.output;
   const auto document = nlohmann::json::parse(read("fit.json"));
   EXPECT_EQ(document.at("schema"), "clampd.identify/1");
@@ -141,9 +146,10 @@ class BadInputs : public CommandLine, public ::testing::WithParamInterface<BadIn
     write("column.csv", "time_s,torque_Nm,velocity_rad_s\n0,0,0\n0.001,0,0\n");
     write("word.csv", std::string(kRunHeader) + "0,0,0,0\n0.001,0,zero,0\n");
     write("backwards.csv", std::string(kRunHeader) + "0,0,0,0\n0.001,0,0,0\n0.0005,0,0,0\n");
-    write("impossible.toml", "revision=\"1\"\n[parameters_normalised]\nk1={lower=0.5,upper=1.5}\nk2={lower=2.0,upper=1.0}\n"
-                             "TC={lower=0.5,upper=1.5}\nTs0={lower=0.5,upper=1.5}\nTv={lower=0.5,upper=1.5}\n"
-                             "mus={lower=0.5,upper=1.5}\nws={lower=0.5,upper=1.5}\n");
+    write("impossible.toml",
+          "revision=\"1\"\n[parameters_normalised]\nk1={lower=0.5,upper=1.5}\nk2={lower=2.0,upper=1.0}\n"
+          "TC={lower=0.5,upper=1.5}\nTs0={lower=0.5,upper=1.5}\nTv={lower=0.5,upper=1.5}\n"
+          "mus={lower=0.5,upper=1.5}\nws={lower=0.5,upper=1.5}\n");
     write("limits.toml", "[limits]\nfile = \"impossible.toml\"\n");
     write("unknown_key.toml", "[check]\nrepeat = 5\n");
     write("not.toml", "this is = = not toml\n");
@@ -169,13 +175,16 @@ INSTANTIATE_TEST_SUITE_P(
     OfEveryCommand, BadInputs,
     ::testing::Values(
         BadInput{"NoCommand", "", "name a command"}, BadInput{"UnknownCommand", "clamp", "clamp"},
-        BadInput{"UnknownOption", "run --serial A --fast", "--fast"}, BadInput{"NoSerial", "run --json out.json", "--serial"},
+        BadInput{"UnknownOption", "run --serial A --fast", "--fast"},
+        BadInput{"NoSerial", "run --json out.json", "--serial"},
         BadInput{"EmptySerial", "run --serial '' --json out.json", "serial"},
         BadInput{"NoRepeats", "run --serial A --repeats 0 --json out.json", "repeats"},
         BadInput{"ManyRepeats", "run --serial A --repeats many --json out.json", "many"},
-        BadInput{"RunNoConfiguration", "run --serial A --config nowhere.toml --json out.json", "nowhere.toml"},
+        BadInput{"RunNoConfiguration", "run --serial A --config nowhere.toml --json out.json",
+                 "nowhere.toml"},
         BadInput{"RunNotToml", "run --serial A --config not.toml --json out.json", "not.toml:1"},
-        BadInput{"RunUnknownKey", "run --serial A --config unknown_key.toml --json out.json", "unknown_key.toml:2"},
+        BadInput{"RunUnknownKey", "run --serial A --config unknown_key.toml --json out.json",
+                 "unknown_key.toml:2"},
         BadInput{"RunImpossibleLimits", "run --serial A --config limits.toml --json out.json", "k2"},
         BadInput{"RunUnreadableDbc", "run --serial A --config dbc.toml --json out.json", "not.dbc:1"},
         BadInput{"RunBadTrajectory", "run --serial A --config trajectory.toml --json out.json", "word.csv:3"},
@@ -197,7 +206,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadInput{"SimulateUnknownManoeuvre", "simulate --manoeuvre dance --out out", "dance"},
         BadInput{"SimulateUnknownEffect", "simulate --manoeuvre step --effect magic=1 --out out", "magic"},
         BadInput{"SimulateEffectValue", "simulate --manoeuvre step --effect cogging=much --out out", "much"},
-        BadInput{"SimulateBadPlant", "simulate --manoeuvre step --parameters plant.toml --out out", "plant.toml"},
+        BadInput{"SimulateBadPlant", "simulate --manoeuvre step --parameters plant.toml --out out",
+                 "plant.toml"},
         BadInput{"SimulateIntoAFile", "simulate --manoeuvre step --out occupied", "occupied"},
         BadInput{"StatusWithoutDaemon", "status", "no daemon is configured"},
         BadInput{"ResultsNone", "results", "checks.sqlite"},
@@ -211,7 +221,8 @@ const auto kNoInterface = AnyOf(HasSubstr("no interface can77"), HasSubstr("no r
 
 TEST_F(CommandLine, TheDaemonRefusesBadInput) {
   write("interface.toml", "[can]\ninterface = \"can77\"\n");
-  const auto refused = [this](const std::string& arguments, const ::testing::Matcher<const std::string&>& says) {
+  const auto refused = [this](const std::string& arguments,
+                              const ::testing::Matcher<const std::string&>& says) {
     const Outcome outcome = run(std::string(CLAMPD) + " " + arguments);
     EXPECT_EQ(outcome.exit_code, 2) << outcome.output;
     EXPECT_THAT(outcome.output, says);
@@ -223,8 +234,10 @@ TEST_F(CommandLine, TheDaemonRefusesBadInput) {
 
 TEST_F(CommandLine, ThePlantRefusesBadInput) {
   const std::string configs = std::string(CLAMPD_SOURCE_DIR) + "/configs/";
-  const std::string complete = "--interface can77 --dbc " + configs + "brake.dbc --config " + configs + "plant.toml";
-  const auto refused = [this](const std::string& arguments, const ::testing::Matcher<const std::string&>& says) {
+  const std::string complete =
+      "--interface can77 --dbc " + configs + "brake.dbc --config " + configs + "plant.toml";
+  const auto refused = [this](const std::string& arguments,
+                              const ::testing::Matcher<const std::string&>& says) {
     const Outcome outcome = run(std::string(CLAMPD_PLANT) + " " + arguments);
     EXPECT_EQ(outcome.exit_code, 2) << outcome.output;
     EXPECT_THAT(outcome.output, says);
@@ -232,13 +245,14 @@ TEST_F(CommandLine, ThePlantRefusesBadInput) {
   refused("--interface can77", HasSubstr("is required"));
   refused(complete + " --fast", HasSubstr("--fast"));
   refused("--interface can77 --dbc nowhere.dbc --config " + configs + "plant.toml", HasSubstr("nowhere.dbc"));
-  refused("--interface can77 --dbc " + configs + "brake.dbc --config nowhere.toml", HasSubstr("nowhere.toml"));
+  refused("--interface can77 --dbc " + configs + "brake.dbc --config nowhere.toml",
+          HasSubstr("nowhere.toml"));
   refused(complete, kNoInterface);
 }
 
 TEST_F(CommandLine, HelpAndVersionAreNoErrors) {
-  for (const char* arguments : {"--help", "--version", "run --help", "identify --help", "design --help", "simulate --help",
-                                "status --help", "results --help", "doctor --help"}) {
+  for (const char* arguments : {"--help", "--version", "run --help", "identify --help", "design --help",
+                                "simulate --help", "status --help", "results --help", "doctor --help"}) {
     const Outcome outcome = clampctl(arguments);
     EXPECT_EQ(outcome.exit_code, 0) << arguments;
     EXPECT_THAT(outcome.output, Not(IsEmpty()));

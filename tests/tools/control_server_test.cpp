@@ -94,7 +94,8 @@ TEST_F(ControlApi, MovesNothingWithoutTheToken) {
     const auto none = http.Post(path, R"({"serial":"X"})", "application/json");
     ASSERT_TRUE(none);
     EXPECT_EQ(none->status, 401) << path;
-    const auto wrong = http.Post(path, {{"Authorization", "Bearer 0123"}}, R"({"serial":"X"})", "application/json");
+    const auto wrong =
+        http.Post(path, {{"Authorization", "Bearer 0123"}}, R"({"serial":"X"})", "application/json");
     ASSERT_TRUE(wrong);
     EXPECT_EQ(wrong->status, 401) << path;
   }
@@ -105,8 +106,9 @@ TEST_F(ControlApi, MovesNothingWithoutTheToken) {
 TEST_F(ControlApi, RefusesPagesOfOtherOrigins) {
   std::string token;
   std::ifstream(token_file_) >> token;
-  const auto answer = http().Post("/v1/stop", {{"Authorization", "Bearer " + token}, {"Origin", "http://evil.example"}},
-                                  "{}", "application/json");
+  const auto answer =
+      http().Post("/v1/stop", {{"Authorization", "Bearer " + token}, {"Origin", "http://evil.example"}}, "{}",
+                  "application/json");
   ASSERT_TRUE(answer);
   EXPECT_EQ(answer->status, 403);
   EXPECT_FALSE(station_.stopped);
@@ -117,7 +119,8 @@ TEST_F(ControlApi, RefusesNonsense) {
   std::ifstream(token_file_) >> token;
   httplib::Client http = this->http();
   const httplib::Headers headers{{"Authorization", "Bearer " + token}};
-  for (const char* body : {"", "{", "[]", R"({"serial":5})", R"({"serial":""})", R"({"serial":"X","repeats":100000})"}) {
+  for (const char* body :
+       {"", "{", "[]", R"({"serial":5})", R"({"serial":""})", R"({"serial":"X","repeats":100000})"}) {
     const auto answer = http.Post("/v1/checks", headers, body, "application/json");
     ASSERT_TRUE(answer);
     EXPECT_EQ(answer->status, 400) << body << ": " << answer->body;

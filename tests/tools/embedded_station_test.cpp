@@ -55,8 +55,9 @@ TEST(EmbeddedStation, TwentyRepeatsWithinThirtySecondsOfBenchTime) {
   EXPECT_LT(record.timing.bus_load, 0.5);
 }
 
-/// Guard bands rest on the reported standard deviations: over many brakes, the errors in units of them must be of unit
-/// size. The noise of each brake is its own; the torque reading is noisy, so that the Cramér-Rao figure alone would fail.
+/// Guard bands rest on the reported standard deviations: over many brakes, the errors in units of them must
+/// be of unit size. The noise of each brake is its own; the torque reading is noisy, so that the Cramér-Rao
+/// figure alone would fail.
 TEST(EmbeddedStation, ReportedUncertaintyIsHonest) {
   constexpr int kChecks = 24;
   const ParameterVector nominal = nominal_parameters();
@@ -65,7 +66,8 @@ TEST(EmbeddedStation, ReportedUncertaintyIsHonest) {
     sim::PlantConfiguration brake = plant(1000 + static_cast<std::uint64_t>(i));
     brake.sensors.torque_noise_Nm = 0.01;
     for (Eigen::Index p = 0; p < nominal.size(); ++p)
-      brake.brake.theta[p] *= 1.0 + 0.1 * std::sin(1.7 * static_cast<double>(i) + 2.3 * static_cast<double>(p));
+      brake.brake.theta[p] *=
+          1.0 + 0.1 * std::sin(1.7 * static_cast<double>(i) + 2.3 * static_cast<double>(p));
     const CheckRecord record = check(brake, 20);
     ASSERT_EQ(record.parameters.size(), kParameterCount) << record.reason;
     for (Eigen::Index p = 0; p < nominal.size(); ++p) {
@@ -85,7 +87,8 @@ TEST(EmbeddedStation, ReportedUncertaintyIsHonest) {
 }
 
 TEST(EmbeddedStation, AnOperatorStopAborts) {
-  const CheckRecord record = check(plant(1), 20, [](CheckPhase, std::uint32_t repeat, std::uint32_t) { return repeat < 3; });
+  const CheckRecord record =
+      check(plant(1), 20, [](CheckPhase, std::uint32_t repeat, std::uint32_t) { return repeat < 3; });
   EXPECT_EQ(record.verdict, Verdict::Aborted);
   EXPECT_EQ(record.fault, FaultCause::OperatorStop);
   EXPECT_LT(record.runs.size(), 20U);
@@ -112,11 +115,12 @@ TEST_P(WireFaults, EndInErrorWithTheCauseNamed) {
     }
 }
 
-INSTANTIATE_TEST_SUITE_P(OnTheWire, WireFaults,
-                         ::testing::Values(WireFaultCase{sim::FaultKind::CorruptCrc, FaultCause::FeedbackCorrupt},
-                                           WireFaultCase{sim::FaultKind::FrozenCounter, FaultCause::FeedbackFrozen},
-                                           WireFaultCase{sim::FaultKind::ImpossibleValues, FaultCause::FeedbackImplausible},
-                                           WireFaultCase{sim::FaultKind::Silent, FaultCause::FeedbackStale}));
+INSTANTIATE_TEST_SUITE_P(
+    OnTheWire, WireFaults,
+    ::testing::Values(WireFaultCase{sim::FaultKind::CorruptCrc, FaultCause::FeedbackCorrupt},
+                      WireFaultCase{sim::FaultKind::FrozenCounter, FaultCause::FeedbackFrozen},
+                      WireFaultCase{sim::FaultKind::ImpossibleValues, FaultCause::FeedbackImplausible},
+                      WireFaultCase{sim::FaultKind::Silent, FaultCause::FeedbackStale}));
 
 TEST(EmbeddedStation, ABrakeThatItsModelDoesNotExplainIsNoFail) {
   sim::PlantConfiguration brake = plant(1);

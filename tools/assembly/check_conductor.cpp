@@ -37,12 +37,14 @@ CheckConductor::~CheckConductor() = default;
 
 Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
   if (const Result<void> valid = validate(request); !valid) return valid;
-  if (busy()) return failure(fmt::format("a check of {} is under way; wait for it or stop it with `clampctl stop`", serial_));
+  if (busy())
+    return failure(
+        fmt::format("a check of {} is under way; wait for it or stop it with `clampctl stop`", serial_));
   const StationState state = core_.status().state.load();
   if (state == StationState::Fault) {
     const rt::FaultRule& rule = rt::fault_rule(core_.status().fault.load());
-    return failure(fmt::format("the station is in FAULT ({}): {} Clear it with `clampctl clear`", to_string(rule.cause),
-                               rule.advice));
+    return failure(fmt::format("the station is in FAULT ({}): {} Clear it with `clampctl clear`",
+                               to_string(rule.cause), rule.advice));
   }
   if (state != StationState::Idle)
     return failure(fmt::format("the station is not ready: it is in {}", to_string(state)));
@@ -50,8 +52,10 @@ Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
   Sample stale;
   while (core_.ring().pop(stale)) {
   }
-  if (request.repeats > 0) plan_.repeats = static_cast<std::uint16_t>(request.repeats);
-  else plan_.repeats = station_.plan.repeats;
+  if (request.repeats > 0)
+    plan_.repeats = static_cast<std::uint16_t>(request.repeats);
+  else
+    plan_.repeats = station_.plan.repeats;
   CheckContext context;
   context.trajectory_rows = plan_.reference.rows.size();
   context.trajectory_sha256 = station_.trajectory_sha256;
@@ -70,13 +74,15 @@ Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
 
 std::optional<CheckRecord> CheckConductor::pump(Instant now) {
   // Read before the ring is emptied: what belongs to a finished check is in the ring by then.
-  const bool finished = busy() && core_.status().checks_finished.load(std::memory_order_acquire) != finished_before_;
+  const bool finished =
+      busy() && core_.status().checks_finished.load(std::memory_order_acquire) != finished_before_;
   Sample sample;
   while (core_.ring().pop(sample))
     if (busy() && sample.phase != CheckPhase::None) session_->consume(sample);
   if (finished) return finish(now);
   if (busy() && !deadline_passed_ &&
-      static_cast<double>(now.steady_ns - started_steady_ns_) > station_.configuration.check.deadline_s * 1e9) {
+      static_cast<double>(now.steady_ns - started_steady_ns_) >
+          station_.configuration.check.deadline_s * 1e9) {
     deadline_passed_ = true;
     core_.requests().stop.store(true, std::memory_order_release);
   }

@@ -18,8 +18,9 @@ struct Instant {
   std::int64_t utc_ns = 0;
 };
 
-/// Takes checks through a control core: hands it the plan, empties its ring into the session, and turns the end of the
-/// sequence into a saved record. Everything here runs outside of the real-time thread; one thread at a time.
+/// Takes checks through a control core: hands it the plan, empties its ring into the session, and turns the
+/// end of the sequence into a saved record. Everything here runs outside of the real-time thread; one thread
+/// at a time.
 class CheckConductor {
  public:
   /// `core` must outlive this. Without a store, records are only returned.
@@ -27,10 +28,12 @@ class CheckConductor {
   /// The core must not run any more, or no check be under way.
   ~CheckConductor();
 
-  /// Starts a check. Errors: the request is not valid, the station is not IDLE (with its fault), a check is under way.
+  /// Starts a check. Errors: the request is not valid, the station is not IDLE (with its fault), a check is
+  /// under way.
   Result<void> begin(const CheckRequest& request, Instant now);
 
-  /// Empties the ring; gives the record once the check has ended. Call it at least every second: the ring holds eight.
+  /// Empties the ring; gives the record once the check has ended. Call it at least every second: the ring
+  /// holds eight.
   std::optional<CheckRecord> pump(Instant now);
 
   bool busy() const { return session_ != nullptr; }

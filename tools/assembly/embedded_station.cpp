@@ -11,7 +11,8 @@ namespace clampd::assembly {
 namespace {
 
 std::int64_t utc_now_ns() {
-  return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch())
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(
+             std::chrono::system_clock::now().time_since_epoch())
       .count();
 }
 
@@ -39,7 +40,8 @@ Result<CheckRecord> EmbeddedStation::run_check(const CheckRequest& request, Chec
 
   const rt::StatusBoard& status = core_.status();
   while (status.state.load() == StationState::Init) advance_one_period();
-  if (const Result<void> begun = conductor.begin(request, now()); !begun) return tl::unexpected(begun.error());
+  if (const Result<void> begun = conductor.begin(request, now()); !begun)
+    return tl::unexpected(begun.error());
   while (true) {
     advance_one_period();
     if (std::optional<CheckRecord> record = conductor.pump(now())) return *std::move(record);

@@ -16,9 +16,9 @@
 
 namespace clampd::assembly {
 
-/// A whole station with a simulated brake in one thread and in virtual time, for machines without CAN and for tests:
-/// the same frames, tick, session and worker as on the bench; only the thread, the socket and the metal are missing.
-/// The brake samples on every millisecond, the station's tick follows half a period later.
+/// A whole station with a simulated brake in one thread and in virtual time, for machines without CAN and for
+/// tests: the same frames, tick, session and worker as on the bench; only the thread, the socket and the
+/// metal are missing. The brake samples on every millisecond, the station's tick follows half a period later.
 class EmbeddedStation {
  public:
   /// Both must be valid; neither is kept beyond what is copied here.

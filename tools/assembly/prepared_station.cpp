@@ -53,7 +53,8 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
     if (!known) {
       std::string roles;
       for (const MappingRole& candidate : kMappingRoles) roles += fmt::format(" {}", candidate.role);
-      return failure(fmt::format("{}: [can.mapping] has no role '{}'; the roles are:{}", configuration.file, role, roles));
+      return failure(fmt::format("{}: [can.mapping] has no role '{}'; the roles are:{}", configuration.file,
+                                 role, roles));
     }
   }
   return mapping;
@@ -107,7 +108,8 @@ rt::CheckPlan check_plan(const StationConfiguration& configuration, Reference re
 Result<StationConfiguration> load_configuration(const std::string& path) {
   if (!path.empty()) return read_station_configuration(path);
   std::error_code ignored;
-  if (std::filesystem::exists(kInstalledConfiguration, ignored)) return read_station_configuration(kInstalledConfiguration);
+  if (std::filesystem::exists(kInstalledConfiguration, ignored))
+    return read_station_configuration(kInstalledConfiguration);
   StationConfiguration defaults;
   defaults.database = default_database();
   return defaults;
@@ -117,9 +119,9 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
   PreparedStation station;
   station.configuration = configuration;
 
-  Result<LimitSet> limits =
-      configuration.limits_file.empty() ? parse_limits(std::string(kBuiltinLimits), "built-in limits.toml")
-                                        : read_limits(configuration.limits_file);
+  Result<LimitSet> limits = configuration.limits_file.empty()
+                                ? parse_limits(std::string(kBuiltinLimits), "built-in limits.toml")
+                                : read_limits(configuration.limits_file);
   if (!limits) return tl::unexpected(limits.error());
   station.limits = std::move(*limits);
 
@@ -128,9 +130,8 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
   station.codec = std::move(*codec);
 
   const std::string& file = configuration.check.trajectory;
-  const Result<LoadedRun> trajectory = file.empty()
-                                           ? parse_run(std::string(kBuiltinTrajectory), "built-in trajectory.csv")
-                                           : read_run(file);
+  const Result<LoadedRun> trajectory =
+      file.empty() ? parse_run(std::string(kBuiltinTrajectory), "built-in trajectory.csv") : read_run(file);
   if (!trajectory) return tl::unexpected(trajectory.error());
   Result<Reference> reference = build_reference(trajectory->run, configuration.model);
   if (!reference) return tl::unexpected(reference.error());

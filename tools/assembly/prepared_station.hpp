@@ -22,7 +22,8 @@ struct PreparedStation {
   std::string trajectory_sha256;
 };
 
-/// Reads limits, DBC and trajectory, maps the signals and plans the check. Errors name the file and what is wrong in it.
+/// Reads limits, DBC and trajectory, maps the signals and plans the check. Errors name the file and what is
+/// wrong in it.
 Result<PreparedStation> prepare_station(const StationConfiguration& configuration);
 
 /// The configuration of `path`; empty: /etc/clampd/station.toml if it is there, else the defaults.

@@ -2,8 +2,8 @@
 #include <memory>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 #include <unistd.h>
+#include <nlohmann/json.hpp>
 
 #include "drivers/can/socketcan.hpp"
 #include "rt/readiness.hpp"
@@ -28,10 +28,12 @@ struct DoctorOptions {
 ReadinessFact examine_can(const std::string& interface, std::uint32_t bitrate) {
   if (interface.empty()) {
     if (can::kernel_has_can())
-      return {"CAN", ReadinessStatus::Ok, "the kernel has CAN; no interface is configured, so checks use the embedded simulated brake",
+      return {"CAN", ReadinessStatus::Ok,
+              "the kernel has CAN; no interface is configured, so checks use the embedded simulated brake",
               ""};
     return {"CAN", ReadinessStatus::Warn, "this kernel has no CAN; checks use the embedded simulated brake",
-            "for a real brake: a kernel with CONFIG_CAN_RAW (Debian's linux-image-amd64 has it) and a CAN interface"};
+            "for a real brake: a kernel with CONFIG_CAN_RAW (Debian's linux-image-amd64 has it) and a CAN "
+            "interface"};
   }
   const Result<can::InterfaceInfo> info = can::inspect_interface(interface);
   if (!info) return {"CAN " + interface, ReadinessStatus::Fail, "not usable", info.error().message};
@@ -39,7 +41,8 @@ ReadinessFact examine_can(const std::string& interface, std::uint32_t bitrate) {
     return {"CAN " + interface, ReadinessStatus::Fail, "down",
             fmt::format("ip link set {} up type can bitrate {}", interface, bitrate)};
   if (info->bitrate != 0 && info->bitrate != bitrate)
-    return {"CAN " + interface, ReadinessStatus::Fail, fmt::format("runs at {} bit/s, configured are {}", info->bitrate, bitrate),
+    return {"CAN " + interface, ReadinessStatus::Fail,
+            fmt::format("runs at {} bit/s, configured are {}", info->bitrate, bitrate),
             fmt::format("ip link set {0} down; ip link set {0} up type can bitrate {1}", interface, bitrate)};
   return {"CAN " + interface, ReadinessStatus::Ok,
           fmt::format("up, {}", info->bitrate == 0 ? "virtual" : fmt::format("{} bit/s", info->bitrate)), ""};
@@ -72,8 +75,11 @@ ReadinessFact examine_database(const std::string& database) {
 void print_facts(const std::vector<ReadinessFact>& facts) {
   const bool colour = cli::colours_wanted();
   for (const ReadinessFact& fact : facts) {
-    const char* paint = fact.status == ReadinessStatus::Ok ? "\033[32m" : fact.status == ReadinessStatus::Warn ? "\033[33m" : "\033[1;31m";
-    fmt::print("{}{:<5}{} {:<22} {}\n", colour ? paint : "", to_string(fact.status), colour ? "\033[0m" : "", fact.name, fact.found);
+    const char* paint = fact.status == ReadinessStatus::Ok     ? "\033[32m"
+                        : fact.status == ReadinessStatus::Warn ? "\033[33m"
+                                                               : "\033[1;31m";
+    fmt::print("{}{:<5}{} {:<22} {}\n", colour ? paint : "", to_string(fact.status), colour ? "\033[0m" : "",
+               fact.name, fact.found);
     if (!fact.advice.empty()) fmt::print("      {:<22} -> {}\n", "", fact.advice);
   }
 }
@@ -85,7 +91,8 @@ int doctor(const DoctorOptions& options, const CommonOptions& common) {
   if (!station) return cli::refuse(station.error());
   const std::string interface = options.interface.empty() ? configuration->can.interface : options.interface;
   if (!options.interface.empty())
-    if (const Result<can::InterfaceInfo> info = can::inspect_interface(interface); !info) return cli::refuse(info.error());
+    if (const Result<can::InterfaceInfo> info = can::inspect_interface(interface); !info)
+      return cli::refuse(info.error());
 
   rt::ReadinessOptions readiness;
   readiness.priority = configuration->realtime.priority;
@@ -102,11 +109,15 @@ int doctor(const DoctorOptions& options, const CommonOptions& common) {
     nlohmann::ordered_json document{{"schema", "clampd.doctor/1"}, {"fit", fit}};
     auto& list = document["facts"] = nlohmann::ordered_json::array();
     for (const ReadinessFact& fact : facts)
-      list.push_back({{"name", fact.name}, {"status", to_string(fact.status)}, {"found", fact.found}, {"advice", fact.advice}});
+      list.push_back({{"name", fact.name},
+                      {"status", to_string(fact.status)},
+                      {"found", fact.found},
+                      {"advice", fact.advice}});
     fmt::print("{}\n", document.dump(2));
   } else {
     print_facts(facts);
-    fmt::print("\n{}\n", fit ? "This machine can run a station." : "This machine cannot run a station yet: see the lines marked fail.");
+    fmt::print("\n{}\n", fit ? "This machine can run a station."
+                             : "This machine cannot run a station yet: see the lines marked fail.");
   }
   return fit ? cli::kSuccess : cli::kStation;
 }
@@ -115,8 +126,10 @@ int doctor(const DoctorOptions& options, const CommonOptions& common) {
 
 void add_doctor_command(CLI::App& app, const CommonOptions& common, int& exit_code) {
   auto options = std::make_shared<DoctorOptions>();
-  CLI::App* command = app.add_subcommand("doctor", "can this machine do real time and CAN, and what to change");
-  command->add_option("--interface", options->interface, "CAN interface to look at (default: the configured one)");
+  CLI::App* command =
+      app.add_subcommand("doctor", "can this machine do real time and CAN, and what to change");
+  command->add_option("--interface", options->interface,
+                      "CAN interface to look at (default: the configured one)");
   command->add_option("--seconds", options->seconds, "how long to measure wake-up lateness")
       ->check(CLI::Range(0.0, 600.0))
       ->capture_default_str();

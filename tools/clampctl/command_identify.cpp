@@ -25,8 +25,8 @@ nlohmann::ordered_json number_or_null(double value) {
   return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json(nullptr);
 }
 
-/// Repeats show what the torque reading's noise does to the estimates, which the Cramér-Rao figure cannot know:
-/// where there are enough of them, the larger of both is reported.
+/// Repeats show what the torque reading's noise does to the estimates, which the Cramér-Rao figure cannot
+/// know: where there are enough of them, the larger of both is reported.
 ParameterMatrix reported_covariance(const OutputErrorSummary& summary) {
   if (!summary.covariance_normalised_over_runs.allFinite()) return summary.covariance_normalised;
   return summary.covariance_normalised_over_runs.trace() > summary.covariance_normalised.trace()
@@ -74,19 +74,22 @@ void print_table(const OutputErrorSummary& summary, std::size_t runs) {
   const ParameterMatrix covariance = reported_covariance(summary);
   fmt::print("Output error method on {} run{}: {} ({} iterations, {:.1f} ms)\n\n", runs, runs == 1 ? "" : "s",
              summary.message, summary.iterations, 1e3 * summary.wall_s);
-  fmt::print("  {:<5} {:>12} {:>11}  {:<11} {:>11} {:>9}\n", "", "estimate", "± sd", "unit", "normalised", "± sd");
+  fmt::print("  {:<5} {:>12} {:>11}  {:<11} {:>11} {:>9}\n", "", "estimate", "± sd", "unit", "normalised",
+             "± sd");
   for (Eigen::Index i = 0; i < nominal.size(); ++i) {
     const auto& info = kParameterTable[static_cast<std::size_t>(i)];
     const double sd = std::sqrt(covariance(i, i));
-    fmt::print("  {:<5} {:>12.5g} {:>11.2g}  {:<11} {:>11.4f} {:>9.4f}\n", info.name, summary.parameters.theta[i],
-               sd * std::abs(nominal[i]), info.unit, summary.parameters.theta[i] / nominal[i], sd);
+    fmt::print("  {:<5} {:>12.5g} {:>11.2g}  {:<11} {:>11.4f} {:>9.4f}\n", info.name,
+               summary.parameters.theta[i], sd * std::abs(nominal[i]), info.unit,
+               summary.parameters.theta[i] / nominal[i], sd);
   }
   fmt::print("\n  residuals: force {:.1f} N rms, velocity {:.3f} rad/s rms\n", summary.force_rms_N,
              summary.velocity_rms_rad_s);
 }
 
 int identify(const IdentifyOptions& options) {
-  if (const Result<void> writable = cli::check_writable(options.json); !writable) return cli::refuse(writable.error());
+  if (const Result<void> writable = cli::check_writable(options.json); !writable)
+    return cli::refuse(writable.error());
   std::vector<Run> runs;
   for (const std::string& file : options.files) {
     Result<LoadedRun> loaded = read_run(file);
@@ -101,7 +104,8 @@ int identify(const IdentifyOptions& options) {
     settings.start = *start;
   }
   const OutputErrorSummary summary = identify_output_error(runs, settings);
-  if (const Result<void> written = cli::write_json(options.json, identify_json(summary, runs.size())); !written)
+  if (const Result<void> written = cli::write_json(options.json, identify_json(summary, runs.size()));
+      !written)
     return cli::refuse(written.error());
   if (options.json != "-") print_table(summary, runs.size());
   return cli::kSuccess;
@@ -112,13 +116,18 @@ int identify(const IdentifyOptions& options) {
 void add_identify_command(CLI::App& app, int& exit_code) {
   auto options = std::make_shared<IdentifyOptions>();
   CLI::App* command = app.add_subcommand("identify", "parameters, covariance and fit from run files");
-  command->add_option("runs", options->files, "run files (CSV), in chronological order")->required()->type_name("RUN.csv");
+  command->add_option("runs", options->files, "run files (CSV), in chronological order")
+      ->required()
+      ->type_name("RUN.csv");
   command->add_option("--method", options->method, "oem: output error method")
       ->check(CLI::IsMember({"oem"}))
       ->capture_default_str();
-  command->add_option("--parameters", options->parameters, "start values and fixed J, N (default: the paper's Table I)")
+  command
+      ->add_option("--parameters", options->parameters,
+                   "start values and fixed J, N (default: the paper's Table I)")
       ->type_name("FILE.toml");
-  command->add_option("--json", options->json, "write the result as clampd.identify/1; - for standard output")->type_name("FILE");
+  command->add_option("--json", options->json, "write the result as clampd.identify/1; - for standard output")
+      ->type_name("FILE");
   command->callback([options, &exit_code] { exit_code = identify(*options); });
 }
 

@@ -42,14 +42,17 @@ void watch_for_interrupt() {
   sigaction(SIGTERM, &action, nullptr);
 }
 
-void show_progress(cli::ProgressLine& line, std::string_view phase, std::uint32_t repeat, std::uint32_t repeats) {
+void show_progress(cli::ProgressLine& line, std::string_view phase, std::uint32_t repeat,
+                   std::uint32_t repeats) {
   if (repeats == 0) return;
-  line.show(static_cast<double>(repeat) / repeats, fmt::format("run {} of {}, {}", std::min(repeat + 1, repeats), repeats, phase));
+  line.show(static_cast<double>(repeat) / repeats,
+            fmt::format("run {} of {}, {}", std::min(repeat + 1, repeats), repeats, phase));
 }
 
 int run_embedded(const RunOptions& options, StationConfiguration configuration) {
   configuration.simulated_brake = true;
-  const std::string& plant_file = options.simulated_brake.empty() ? configuration.plant_file : options.simulated_brake;
+  const std::string& plant_file =
+      options.simulated_brake.empty() ? configuration.plant_file : options.simulated_brake;
   const Result<sim::PlantConfiguration> plant =
       plant_file.empty() ? sim::parse_plant_configuration(assembly::kBuiltinPlant, "built-in plant.toml")
                          : sim::read_plant_configuration(plant_file);
@@ -61,8 +64,8 @@ int run_embedded(const RunOptions& options, StationConfiguration configuration) 
 
   cli::ProgressLine line;
   assembly::EmbeddedStation station(std::move(*prepared), *plant);
-  const Result<CheckRecord> record =
-      station.run_check(options.request, &*store, [&line](CheckPhase phase, std::uint32_t repeat, std::uint32_t repeats) {
+  const Result<CheckRecord> record = station.run_check(
+      options.request, &*store, [&line](CheckPhase phase, std::uint32_t repeat, std::uint32_t repeats) {
         show_progress(line, to_string(phase), repeat, repeats);
         return !interrupted;
       });
@@ -74,7 +77,9 @@ int run_embedded(const RunOptions& options, StationConfiguration configuration) 
   return exit_code(record->verdict);
 }
 
-int exit_code_of(const std::string& verdict) { return exit_code(parse_verdict(verdict).value_or(Verdict::Error)); }
+int exit_code_of(const std::string& verdict) {
+  return exit_code(parse_verdict(verdict).value_or(Verdict::Error));
+}
 
 /// What a daemon that went away in the middle of a check leaves us with: a result that says so.
 int daemon_lost(const RunOptions& options, const std::string& why) {
@@ -85,7 +90,9 @@ int daemon_lost(const RunOptions& options, const std::string& why) {
   record.reason = "the station's daemon went away during the check: " + why;
   if (const Result<void> written = cli::write_json(options.json, check_json(record)); !written)
     cli::print_error(written.error().message);
-  cli::print_error(record.reason + ". The brake drops its torque by itself after 20 ms; look at the rig before the next check");
+  cli::print_error(
+      record.reason +
+      ". The brake drops its torque by itself after 20 ms; look at the rig before the next check");
   return cli::kStation;
 }
 
@@ -113,7 +120,8 @@ int run_through_daemon(const RunOptions& options, const StationConfiguration& co
       if (const Result<void> stopped = daemon.stop(); !stopped) cli::print_error(stopped.error().message);
       stop_sent = true;
     }
-    const Result<control::CheckProgress> progress = daemon.progress(options.json != "-" && cli::colours_wanted());
+    const Result<control::CheckProgress> progress =
+        daemon.progress(options.json != "-" && cli::colours_wanted());
     if (!progress) {
       if (++failures < 3) continue;
       line.clear();
@@ -140,7 +148,8 @@ int run(const RunOptions& options, const CommonOptions& common) {
   Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
   if (const Result<void> valid = validate(options.request); !valid) return cli::refuse(valid.error());
-  if (const Result<void> writable = cli::check_writable(options.json); !writable) return cli::refuse(writable.error());
+  if (const Result<void> writable = cli::check_writable(options.json); !writable)
+    return cli::refuse(writable.error());
   watch_for_interrupt();
   if (configuration->embedded() || !options.simulated_brake.empty())
     return run_embedded(options, std::move(*configuration));
@@ -153,16 +162,20 @@ void add_run_command(CLI::App& app, const CommonOptions& common, int& exit_code)
   auto options = std::make_shared<RunOptions>();
   CLI::App* command = app.add_subcommand("run", "check one brake and say pass or fail");
   command->add_option("--serial", options->request.serial, "serial number of the brake")->required();
-  command->add_option("--repeats", options->request.repeats, "how often to run the trajectory (default: as configured, 20)")
+  command
+      ->add_option("--repeats", options->request.repeats,
+                   "how often to run the trajectory (default: as configured, 20)")
       ->check(CLI::Range(1, 200));
   command->add_option("--operator", options->request.operator_name, "who checks");
   command->add_option("--part-number", options->request.part_number, "part number of the brake");
   command->add_option("--batch", options->request.batch, "batch of the brake");
   command
-      ->add_option("--simulated-brake", options->simulated_brake,
-                   "check a simulated brake, in virtual time and in this process, even if a daemon is configured")
+      ->add_option(
+          "--simulated-brake", options->simulated_brake,
+          "check a simulated brake, in virtual time and in this process, even if a daemon is configured")
       ->type_name("PLANT.toml");
-  command->add_option("--json", options->json, "write the result as clampd.check/1; - for standard output")->type_name("FILE");
+  command->add_option("--json", options->json, "write the result as clampd.check/1; - for standard output")
+      ->type_name("FILE");
   command->callback([options, &common, &exit_code] { exit_code = run(*options, common); });
 }
 

@@ -37,7 +37,8 @@ Result<sim::PlantConfiguration> plant_configuration(const SimulateOptions& optio
   if (!plant) return plant;
   if (options.seed) plant->seed = *options.seed;
   for (const std::string& effect : options.effects)
-    if (const Result<void> set = sim::set_effect(plant->effects, effect); !set) return tl::unexpected(set.error());
+    if (const Result<void> set = sim::set_effect(plant->effects, effect); !set)
+      return tl::unexpected(set.error());
   if (const Result<void> valid = plant->validate(); !valid) return tl::unexpected(valid.error());
   return plant;
 }
@@ -48,7 +49,8 @@ Result<void> write_runs(const std::vector<Run>& runs, const SimulateOptions& opt
   const bool existed = fs::exists(options.folder, failed);
   fs::create_directories(options.folder, failed);
   if (failed)
-    return failure(fmt::format("cannot create the folder {}: {}; name another with --out", options.folder, failed.message()));
+    return failure(fmt::format("cannot create the folder {}: {}; name another with --out", options.folder,
+                               failed.message()));
   std::vector<fs::path> written;
   for (std::size_t i = 0; i < runs.size(); ++i) {
     const fs::path file = fs::path(options.folder) / fmt::format("{}-{:03}.csv", options.manoeuvre, i + 1);
@@ -66,8 +68,9 @@ int simulate(const SimulateOptions& options) {
   const Result<sim::PlantConfiguration> plant = plant_configuration(options);
   if (!plant) return cli::refuse(plant.error());
   const Result<LoadedRun> optimal =
-      options.trajectory.empty() ? parse_run(std::string(assembly::kBuiltinTrajectory), "built-in trajectory.csv")
-                                 : read_run(options.trajectory);
+      options.trajectory.empty()
+          ? parse_run(std::string(assembly::kBuiltinTrajectory), "built-in trajectory.csv")
+          : read_run(options.trajectory);
   if (!optimal) return cli::refuse(optimal.error());
   // What a station knows of the brake is the nominal one, whatever the simulated brake really is.
   const BrakeParameters nominal;
@@ -88,13 +91,15 @@ int simulate(const SimulateOptions& options) {
 
 std::string manoeuvre_help() {
   std::string text = "what to drive: ";
-  for (const ManoeuvreInfo& manoeuvre : manoeuvres()) text += fmt::format("\n  {}: {}", manoeuvre.name, manoeuvre.description);
+  for (const ManoeuvreInfo& manoeuvre : manoeuvres())
+    text += fmt::format("\n  {}: {}", manoeuvre.name, manoeuvre.description);
   return text;
 }
 
 std::string effect_help() {
   std::string text = "physics beyond the base model, as often as wanted; VALUE in the effect's unit:";
-  for (const sim::EffectInfo& effect : sim::kEffectTable) text += fmt::format("\n  {} ({}): {}", effect.name, effect.unit, effect.meaning);
+  for (const sim::EffectInfo& effect : sim::kEffectTable)
+    text += fmt::format("\n  {} ({}): {}", effect.name, effect.unit, effect.meaning);
   return text;
 }
 
@@ -102,14 +107,22 @@ std::string effect_help() {
 
 void add_simulate_command(CLI::App& app, int& exit_code) {
   auto options = std::make_shared<SimulateOptions>();
-  CLI::App* command = app.add_subcommand("simulate", "run files from the simulated brake, driven by the station's own controller");
+  CLI::App* command = app.add_subcommand(
+      "simulate", "run files from the simulated brake, driven by the station's own controller");
   command->add_option("--manoeuvre", options->manoeuvre, manoeuvre_help())->required();
-  command->add_option("--parameters", options->plant, "the simulated brake (default: nominal, with noise)")->type_name("PLANT.toml");
-  command->add_option("--trajectory", options->trajectory, "what `optimal` drives (default: the one that ships)")->type_name("TRAJ.csv");
+  command->add_option("--parameters", options->plant, "the simulated brake (default: nominal, with noise)")
+      ->type_name("PLANT.toml");
+  command
+      ->add_option("--trajectory", options->trajectory, "what `optimal` drives (default: the one that ships)")
+      ->type_name("TRAJ.csv");
   command->add_option("--effect", options->effects, effect_help())->type_name("NAME=VALUE");
   command->add_option("--seed", options->seed, "of the noise (default: the plant file's)");
-  command->add_option("--repeats", options->repeats, "how many runs")->check(CLI::Range(1, 1000))->capture_default_str();
-  command->add_option("--out", options->folder, "folder for MANOEUVRE-001.csv and so on")->required()->type_name("DIR");
+  command->add_option("--repeats", options->repeats, "how many runs")
+      ->check(CLI::Range(1, 1000))
+      ->capture_default_str();
+  command->add_option("--out", options->folder, "folder for MANOEUVRE-001.csv and so on")
+      ->required()
+      ->type_name("DIR");
   command->callback([options, &exit_code] { exit_code = simulate(*options); });
 }
 

@@ -23,7 +23,8 @@ int with_daemon(const CommonOptions& common, Ask ask) {
   const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
   if (!configuration) return report(configuration.error(), cli::kBadInput);
   if (configuration->embedded())
-    return report({"no daemon is configured: without [can] interface, `clampctl run` checks an embedded simulated brake. "
+    return report({"no daemon is configured: without [can] interface, `clampctl run` checks an embedded "
+                   "simulated brake. "
                    "Name a station configuration with --config"},
                   cli::kBadInput);
   return ask(control::Client(configuration->control.address, configuration->control.port,
@@ -34,16 +35,20 @@ void print_status(const control::StationStatus& status) {
   fmt::print("{}  {}{}\n", status.station, status.state, status.simulated ? "  (simulated brake)" : "");
   if (status.fault != "none") {
     fmt::print("  fault      {}: {}\n", status.fault, status.fault_text);
-    fmt::print("             {}\n", status.clearable ? "its cause is gone: `clampctl clear`" : "its cause is still there");
+    fmt::print("             {}\n",
+               status.clearable ? "its cause is gone: `clampctl clear`" : "its cause is still there");
   }
   if (!status.serial.empty())
-    fmt::print("  check      {}{}{}\n", status.serial, status.last_verdict.empty() ? "" : ": ", status.last_verdict);
+    fmt::print("  check      {}{}{}\n", status.serial, status.last_verdict.empty() ? "" : ": ",
+               status.last_verdict);
   if (status.repeats > 0)
     fmt::print("  running    {}, run {} of {}\n", status.phase, status.repeat + 1, status.repeats);
-  fmt::print("  brake      {:.0f} N, {:.1f} rad/s, {:.3f} N m\n", status.force_N, status.velocity_rad_s, status.torque_Nm);
+  fmt::print("  brake      {:.0f} N, {:.1f} rad/s, {:.3f} N m\n", status.force_N, status.velocity_rad_s,
+             status.torque_Nm);
   fmt::print("  bus        {} {}, load {:.0f} %\n", status.interface, status.link, 100.0 * status.bus_load);
-  fmt::print("  loop       {} ticks, {} skipped, lateness avg {:.0f} µs, max {:.0f} µs{}\n", status.ticks, status.skipped,
-             status.lateness_avg_us, status.lateness_max_us, status.realtime ? "" : " (not a real-time thread)");
+  fmt::print("  loop       {} ticks, {} skipped, lateness avg {:.0f} µs, max {:.0f} µs{}\n", status.ticks,
+             status.skipped, status.lateness_avg_us, status.lateness_max_us,
+             status.realtime ? "" : " (not a real-time thread)");
   fmt::print("  software   {}\n", status.version);
 }
 

@@ -13,7 +13,8 @@ int main(int argc, char** argv) {
       "Exit codes: 0 pass or success, 1 the brake fails, 2 wrong usage or bad input,\n"
       "3 the station made the result invalid, 4 aborted, 5 timed out.");
   ctl::CommonOptions common;
-  app.add_option("--config", common.config, "station configuration (default: /etc/clampd/station.toml if it is there)")
+  app.add_option("--config", common.config,
+                 "station configuration (default: /etc/clampd/station.toml if it is there)")
       ->type_name("FILE");
 
   int exit_code = cli::kSuccess;

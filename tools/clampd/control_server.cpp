@@ -29,7 +29,8 @@ void refuse(httplib::Response& response, int status, const std::string& why) {
   answer(response, status, {{"error", why}});
 }
 
-void answer_or_refuse(httplib::Response& response, const Result<nlohmann::ordered_json>& result, int refusal) {
+void answer_or_refuse(httplib::Response& response, const Result<nlohmann::ordered_json>& result,
+                      int refusal) {
   if (result)
     answer(response, 200, *result);
   else
@@ -44,7 +45,8 @@ std::string random_token() {
 }
 
 bool same_token(const std::string& given, const std::string& expected) {
-  return given.size() == expected.size() && CRYPTO_memcmp(given.data(), expected.data(), expected.size()) == 0;
+  return given.size() == expected.size() &&
+         CRYPTO_memcmp(given.data(), expected.data(), expected.size()) == 0;
 }
 
 }  // namespace
@@ -53,7 +55,8 @@ struct ControlServer::Http {
   httplib::Server server;
   std::string token;  ///< empty: none is asked for
 
-  /// Whatever moves or stops the brake passes here: no browser page of another origin, and only who has the token.
+  /// Whatever moves or stops the brake passes here: no browser page of another origin, and only who has the
+  /// token.
   bool may_command(const httplib::Request& request, httplib::Response& response) const {
     if (request.has_header("Origin")) {
       refuse(response, 403, "requests of web pages are refused");
@@ -69,8 +72,8 @@ struct ControlServer::Http {
 
 ControlServer::ControlServer() : http_(std::make_unique<Http>()) {}
 
-Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& target, const std::string& address, int port,
-                                                            const std::string& token_file) {
+Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& target, const std::string& address,
+                                                            int port, const std::string& token_file) {
   std::unique_ptr<ControlServer> control(new ControlServer());
   httplib::Server& server = control->http_->server;
   Http& http = *control->http_;
@@ -90,9 +93,8 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& targe
   server.set_payload_max_length(kLargestRequest);
   server.set_read_timeout(5);
   server.set_write_timeout(5);
-  server.set_exception_handler([](const auto&, auto& response, std::exception_ptr) {
-    refuse(response, 500, "internal error");
-  });
+  server.set_exception_handler(
+      [](const auto&, auto& response, std::exception_ptr) { refuse(response, 500, "internal error"); });
 
   server.Get("/v1/status", [&target](const httplib::Request&, httplib::Response& response) {
     answer(response, 200, nlohmann::json(target.status()));
@@ -116,11 +118,13 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& targe
     } catch (const nlohmann::json::exception& mistake) {
       return refuse(response, 400, std::string("the request is not a check request: ") + mistake.what());
     }
-    if (const Result<void> valid = validate(check); !valid) return refuse(response, 400, valid.error().message);
+    if (const Result<void> valid = validate(check); !valid)
+      return refuse(response, 400, valid.error().message);
     const Result<std::uint64_t> started = target.start(check);
     answer_or_refuse(response, started.map([](std::uint64_t number) {
       return nlohmann::ordered_json{{"check", number}};
-    }), 409);
+    }),
+                     409);
   });
   server.Post("/v1/stop", [&target, &http](const httplib::Request& request, httplib::Response& response) {
     if (!http.may_command(request, response)) return;
@@ -138,18 +142,22 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& targe
       if (parsed.ec != std::errc() || parsed.ptr != text.data() + text.size() || limit == 0 || limit > 1000)
         return refuse(response, 400, "limit must be a number from 1 to 1000");
     }
-    answer_or_refuse(response,
-                     target.results(request.get_param_value("serial"), request.get_param_value("verdict"), limit), 400);
+    answer_or_refuse(
+        response,
+        target.results(request.get_param_value("serial"), request.get_param_value("verdict"), limit), 400);
   });
-  server.Get(R"(/v1/results/([A-Za-z0-9_.:-]+))", [&target](const httplib::Request& request, httplib::Response& response) {
-    answer_or_refuse(response, target.result(request.matches[1]), 404);
-  });
+  server.Get(R"(/v1/results/([A-Za-z0-9_.:-]+))",
+             [&target](const httplib::Request& request, httplib::Response& response) {
+               answer_or_refuse(response, target.result(request.matches[1]), 404);
+             });
 
-  control->port_ = port == 0 ? server.bind_to_any_port(address) : (server.bind_to_port(address, port) ? port : -1);
+  control->port_ =
+      port == 0 ? server.bind_to_any_port(address) : (server.bind_to_port(address, port) ? port : -1);
   if (control->port_ < 0)
-    return failure(fmt::format("cannot listen on {}:{}: the address is not this machine's or another program (another "
-                               "clampd?) has the port; change [control] in the configuration",
-                               address, port));
+    return failure(
+        fmt::format("cannot listen on {}:{}: the address is not this machine's or another program (another "
+                    "clampd?) has the port; change [control] in the configuration",
+                    address, port));
   control->thread_ = std::thread([&server] { server.listen_after_bind(); });
   while (!server.is_running()) std::this_thread::yield();
   return control;

@@ -27,10 +27,10 @@ class ControlTarget {
 /// The control API of tools/control/messages.hpp over HTTP.
 class ControlServer {
  public:
-  /// Binds and starts to serve. An empty token file: no token is asked for. Errors: the address is taken or not ours, the
-  /// token file cannot be written.
-  static Result<std::unique_ptr<ControlServer>> start(ControlTarget& target, const std::string& address, int port,
-                                                      const std::string& token_file);
+  /// Binds and starts to serve. An empty token file: no token is asked for. Errors: the address is taken or
+  /// not ours, the token file cannot be written.
+  static Result<std::unique_ptr<ControlServer>> start(ControlTarget& target, const std::string& address,
+                                                      int port, const std::string& token_file);
   ~ControlServer();
   ControlServer(const ControlServer&) = delete;
   ControlServer& operator=(const ControlServer&) = delete;

@@ -51,7 +51,8 @@ void Daemon::serve(const std::atomic<bool>& quit) {
 void Daemon::pump() {
   const std::lock_guard lock(mutex_);
   if (std::optional<CheckRecord> record = conductor_.pump(instant_now())) {
-    spdlog::info("check {} of {}: {}. {}", record->id, record->serial, to_string(record->verdict), record->reason);
+    spdlog::info("check {} of {}: {}. {}", record->id, record->serial, to_string(record->verdict),
+                 record->reason);
     last_record_ = std::move(record);
   }
   report_state_changes();
@@ -103,8 +104,9 @@ control::StationStatus Daemon::status() {
   status.interface = station_.configuration.can.interface;
   status.link = std::string(to_string(health.link));
   if (status.ticks > 0)
-    status.bus_load = static_cast<double>(health.bus_bits) / (static_cast<double>(station_.configuration.can.bitrate) *
-                                                              static_cast<double>(status.ticks) * kPeriod_s);
+    status.bus_load =
+        static_cast<double>(health.bus_bits) / (static_cast<double>(station_.configuration.can.bitrate) *
+                                                static_cast<double>(status.ticks) * kPeriod_s);
   status.simulated = station_.configuration.simulated_brake;
   status.realtime = station_.configuration.realtime.priority > 0;
   return status;
@@ -112,7 +114,8 @@ control::StationStatus Daemon::status() {
 
 Result<std::uint64_t> Daemon::start(const CheckRequest& request) {
   const std::lock_guard lock(mutex_);
-  if (const Result<void> begun = conductor_.begin(request, instant_now()); !begun) return tl::unexpected(begun.error());
+  if (const Result<void> begun = conductor_.begin(request, instant_now()); !begun)
+    return tl::unexpected(begun.error());
   last_record_.reset();
   spdlog::info("check of {} begins", request.serial);
   return ++check_number_;
@@ -165,10 +168,12 @@ Result<nlohmann::ordered_json> Daemon::results(const std::string& serial, const 
   filter.limit = limit;
   if (!verdict.empty()) {
     filter.verdict = parse_verdict(verdict);
-    if (!filter.verdict) return failure(fmt::format("no verdict '{}'; there are PASS, FAIL, ERROR, TIMEOUT, ABORTED", verdict));
+    if (!filter.verdict)
+      return failure(fmt::format("no verdict '{}'; there are PASS, FAIL, ERROR, TIMEOUT, ABORTED", verdict));
   }
   const std::lock_guard lock(mutex_);
-  return store_.list(filter).map([](const std::vector<CheckSummary>& checks) { return summaries_json(checks); });
+  return store_.list(filter).map(
+      [](const std::vector<CheckSummary>& checks) { return summaries_json(checks); });
 }
 
 Result<nlohmann::ordered_json> Daemon::result(const std::string& id) {

@@ -16,8 +16,8 @@
 
 namespace clampd::daemon {
 
-/// The station at work: the real-time loop on SocketCAN, the conductor that empties its ring, and what the control API
-/// asks for. Everything here runs outside of the real-time thread.
+/// The station at work: the real-time loop on SocketCAN, the conductor that empties its ring, and what the
+/// control API asks for. Everything here runs outside of the real-time thread.
 class Daemon final : public ControlTarget {
  public:
   /// `station`, `bus` and `store` must outlive this.
@@ -26,8 +26,8 @@ class Daemon final : public ControlTarget {
   /// Starts the loop thread. Errors: no right to real time, with what to change.
   Result<void> start();
 
-  /// Serves until `quit` is set: records finished checks, reopens a vanished interface. A check under way is then stopped,
-  /// and its record saved, before this returns.
+  /// Serves until `quit` is set: records finished checks, reopens a vanished interface. A check under way is
+  /// then stopped, and its record saved, before this returns.
   void serve(const std::atomic<bool>& quit);
 
   control::StationStatus status() override;

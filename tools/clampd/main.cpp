@@ -1,9 +1,9 @@
 #include <atomic>
 #include <csignal>
 
-#include <CLI/CLI.hpp>
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
+#include <CLI/CLI.hpp>
 
 #include "clampd/base/version.hpp"
 #include "tools/clampd/daemon.hpp"
@@ -31,9 +31,10 @@ int run(const std::string& file) {
   const Result<StationConfiguration> configuration = assembly::load_configuration(file);
   if (!configuration) return refuse(configuration.error());
   if (configuration->embedded())
-    return refuse({"no CAN interface is configured: set [can] interface in " +
-                   (configuration->file.empty() ? std::string("/etc/clampd/station.toml") : configuration->file) +
-                   ". For a simulated brake without CAN, `clampctl run` needs no daemon"});
+    return refuse(
+        {"no CAN interface is configured: set [can] interface in " +
+         (configuration->file.empty() ? std::string("/etc/clampd/station.toml") : configuration->file) +
+         ". For a simulated brake without CAN, `clampctl run` needs no daemon"});
   const Result<assembly::PreparedStation> station = assembly::prepare_station(*configuration);
   if (!station) return refuse(station.error());
   Result<CheckStore> store = CheckStore::open(configuration->database);
@@ -45,8 +46,8 @@ int run(const std::string& file) {
   quit_on_signals();
   daemon::Daemon daemon(*station, **bus, *store);
   if (const Result<void> started = daemon.start(); !started) return refuse(started.error());
-  const auto server = daemon::ControlServer::start(daemon, configuration->control.address, configuration->control.port,
-                                                   configuration->control.token_file);
+  const auto server = daemon::ControlServer::start(
+      daemon, configuration->control.address, configuration->control.port, configuration->control.token_file);
   if (!server) return refuse(server.error());
   spdlog::info("clampd {} on {}, control API on {}:{}", kVersion, configuration->can.interface,
                configuration->control.address, (*server)->port());
@@ -58,10 +59,12 @@ int run(const std::string& file) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app{"clampd, the station's daemon: drives the brake over CAN and judges it. Talk to it with clampctl."};
+  CLI::App app{
+      "clampd, the station's daemon: drives the brake over CAN and judges it. Talk to it with clampctl."};
   app.set_version_flag("--version", std::string(clampd::kVersion));
   std::string configuration;
-  app.add_option("--config", configuration, "station configuration (default: /etc/clampd/station.toml)")->type_name("FILE");
+  app.add_option("--config", configuration, "station configuration (default: /etc/clampd/station.toml)")
+      ->type_name("FILE");
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& request) {

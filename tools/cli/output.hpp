@@ -12,8 +12,8 @@ namespace clampd::cli {
 /// Prints the error and gives kBadInput, for a command to return.
 int refuse(const Error& error);
 
-/// Whether a file could be written there: found out before minutes of work rather than after. An empty path and "-"
-/// (standard output) can always be written.
+/// Whether a file could be written there: found out before minutes of work rather than after. An empty path
+/// and "-" (standard output) can always be written.
 Result<void> check_writable(const std::string& path);
 
 /// Writes the document where the user asked for it: nowhere for an empty path, to standard output for "-".

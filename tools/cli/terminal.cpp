@@ -19,14 +19,18 @@ bool no_colour_requested() {
 
 }  // namespace
 
-bool colours_wanted() { return isatty(STDOUT_FILENO) == 1 && !no_colour_requested(); }
+bool colours_wanted() {
+  return isatty(STDOUT_FILENO) == 1 && !no_colour_requested();
+}
 
 void print_error(std::string_view message) {
   const bool colour = isatty(STDERR_FILENO) == 1 && !no_colour_requested();
   fmt::print(stderr, "{}error:{} {}\n", colour ? "\033[1;31m" : "", colour ? "\033[0m" : "", message);
 }
 
-void print_notice(std::string_view message) { fmt::print(stderr, "note: {}\n", message); }
+void print_notice(std::string_view message) {
+  fmt::print(stderr, "note: {}\n", message);
+}
 
 ProgressLine::ProgressLine() : terminal_(isatty(STDERR_FILENO) == 1) {}
 

@@ -36,20 +36,22 @@ Result<nlohmann::ordered_json> Client::exchange(const std::string& method, const
   if (method == "POST") {
     const Result<std::string> token = read_file(token_file_);
     if (!token)
-      return failure(token.error().message + ". The daemon writes its token there when it starts; is it running, and "
-                                             "may you read the file?");
+      return failure(token.error().message +
+                     ". The daemon writes its token there when it starts; is it running, and "
+                     "may you read the file?");
     headers.emplace("Authorization", "Bearer " + trimmed(*token));
   }
-  const httplib::Result response = method == "POST" ? http.Post(path, headers, body.dump(), "application/json")
-                                                    : http.Get(path, headers);
+  const httplib::Result response =
+      method == "POST" ? http.Post(path, headers, body.dump(), "application/json") : http.Get(path, headers);
   if (!response)
-    return failure(fmt::format("no daemon answers at {}:{} ({}). Start it with `systemctl start clampd` or `clampd "
-                               "--config FILE`",
-                               address_, port_, httplib::to_string(response.error())));
+    return failure(
+        fmt::format("no daemon answers at {}:{} ({}). Start it with `systemctl start clampd` or `clampd "
+                    "--config FILE`",
+                    address_, port_, httplib::to_string(response.error())));
   nlohmann::ordered_json document = nlohmann::ordered_json::parse(response->body, nullptr, false);
   if (document.is_discarded())
-    return failure(fmt::format("the answer of {}:{}{} is not JSON; is another program using this port?", address_,
-                               port_, path));
+    return failure(fmt::format("the answer of {}:{}{} is not JSON; is another program using this port?",
+                               address_, port_, path));
   if (response->status >= 300)
     return failure(document.is_object() ? document.value("error", fmt::format("status {}", response->status))
                                         : fmt::format("the daemon refused with status {}", response->status));

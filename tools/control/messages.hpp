@@ -10,7 +10,8 @@
 
 namespace clampd {
 
-NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(CheckRequest, serial, repeats, operator_name, part_number, batch)
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(CheckRequest, serial, repeats, operator_name, part_number,
+                                                batch)
 
 }  // namespace clampd
 
@@ -24,15 +25,15 @@ namespace clampd::control {
 //   POST /v1/clear           clears a fault whose cause is gone; 409 with the reason if it is not
 //   GET  /v1/results         query: serial, verdict, limit
 //   GET  /v1/results/{id}    clampd.check/1
-// Whatever moves or stops the brake needs "Authorization: Bearer TOKEN"; the daemon writes the token into the file
-// named in its configuration when it starts.
+// Whatever moves or stops the brake needs "Authorization: Bearer TOKEN"; the daemon writes the token into the
+// file named in its configuration when it starts.
 
 /// What the station is doing now.
 struct StationStatus {
   std::string station;
   std::string version;
-  std::string state;  ///< INIT, IDLE, ...
-  std::string fault;  ///< "none" or the cause's name
+  std::string state;       ///< INIT, IDLE, ...
+  std::string fault;       ///< "none" or the cause's name
   std::string fault_text;  ///< what it means and what to do
   bool clearable = false;
   std::string phase;
@@ -53,13 +54,14 @@ struct StationStatus {
   bool simulated = false;
   bool realtime = false;
 };
-NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version, state, fault, fault_text, clearable,
-                                                phase, repeat, repeats, serial, last_verdict, ticks, skipped,
-                                                lateness_avg_us, lateness_max_us, force_N, velocity_rad_s, torque_Nm,
-                                                interface, link, bus_load, simulated, realtime)
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version, state, fault, fault_text,
+                                                clearable, phase, repeat, repeats, serial, last_verdict,
+                                                ticks, skipped, lateness_avg_us, lateness_max_us, force_N,
+                                                velocity_rad_s, torque_Nm, interface, link, bus_load,
+                                                simulated, realtime)
 
-/// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the same as a
-/// technician reads it.
+/// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the
+/// same as a technician reads it.
 struct CheckProgress {
   std::uint64_t check = 0;
   bool finished = false;

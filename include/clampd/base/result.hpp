@@ -12,7 +12,8 @@ struct Error {
   std::string message;
 };
 
-/// Outcome of set-up, input/output and storage. Solvers return a summary instead: non-convergence is a result.
+/// Outcome of set-up, input/output and storage. Solvers return a summary instead: non-convergence is a
+/// result.
 template <class T>
 using Result = tl::expected<T, Error>;
 

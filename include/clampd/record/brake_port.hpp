@@ -19,10 +19,10 @@ struct BrakeFeedback {
   double torque_Nm = 0.0;            ///< measured motor torque acting from this instant on
   double velocity_rad_s = 0.0;
   double force_N = 0.0;
-  double position_rad = 0.0;    ///< motor encoder; its zero is arbitrary
-  bool drive_enabled = false;   ///< the brake's drive stage is live
+  double position_rad = 0.0;      ///< motor encoder; its zero is arbitrary
+  bool drive_enabled = false;     ///< the brake's drive stage is live
   bool watchdog_tripped = false;  ///< the brake zeroed its torque because valid commands stopped
-  bool brake_fault = false;     ///< the brake reports an internal fault
+  bool brake_fault = false;       ///< the brake reports an internal fault
 };
 
 /// What the station asks of the brake for the brake's next sample period.
@@ -53,7 +53,7 @@ struct PortHealth {
   std::uint64_t error_frames = 0;
   std::uint64_t bus_off_events = 0;  ///< bus-off reported by the controller, also when it recovered at once
   std::uint64_t receive_overflows = 0;  ///< frames the kernel dropped (SO_RXQ_OVFL) or we could not store
-  std::uint64_t bus_bits = 0;        ///< bits seen on the wire, worst-case stuffing: for the bus load
+  std::uint64_t bus_bits = 0;           ///< bits seen on the wire, worst-case stuffing: for the bus load
 };
 
 /// How the loop reaches a brake. Declared here, since both the loop (rt) and the drivers speak it and
@@ -65,8 +65,8 @@ class BrakePort {
   BrakePort(const BrakePort&) = delete;
   BrakePort& operator=(const BrakePort&) = delete;
 
-  /// Takes what arrived since the last call, oldest first; never blocks. Returns how many of `out` were filled.
-  /// Refused frames (CRC, counter, range) do not appear; they are counted in health().
+  /// Takes what arrived since the last call, oldest first; never blocks. Returns how many of `out` were
+  /// filled. Refused frames (CRC, counter, range) do not appear; they are counted in health().
   CLAMPD_REALTIME virtual std::size_t receive(std::span<BrakeFeedback> out, std::int64_t now_ns) noexcept = 0;
 
   /// Sends one command; never blocks. False if it could not be handed to the link.

@@ -13,7 +13,8 @@ namespace clampd {
 
 enum class Verdict : std::uint8_t { Pass, Fail, Error, Timeout, Aborted };
 std::string_view to_string(Verdict verdict) noexcept;  ///< "PASS", "FAIL", "ERROR", "TIMEOUT", "ABORTED"
-std::optional<Verdict> parse_verdict(std::string_view text) noexcept;  ///< the same back; nothing if it is none of them
+std::optional<Verdict> parse_verdict(
+    std::string_view text) noexcept;  ///< the same back; nothing if it is none of them
 
 enum class ParameterVerdict : std::uint8_t { Pass, Marginal, Fail };
 std::string_view to_string(ParameterVerdict verdict) noexcept;  ///< "pass", "marginal", "fail"
@@ -37,20 +38,21 @@ struct TimingRecord {
   double lateness_min_us = 0.0;
   double lateness_avg_us = 0.0;
   double lateness_max_us = 0.0;
-  std::vector<std::uint64_t> lateness_histogram;  ///< ticks per microsecond of lateness; the last bin takes the rest
-  double bus_load = 0.0;                          ///< measured share of the bus's bits, 0..1; 0 where there is no wire
+  std::vector<std::uint64_t>
+      lateness_histogram;  ///< ticks per microsecond of lateness; the last bin takes the rest
+  double bus_load = 0.0;   ///< measured share of the bus's bits, 0..1; 0 where there is no wire
 };
 
 /// One repeat of the trajectory: the data, and how well they were tracked and fitted.
 struct RunRecord {
   Run run;
-  double tracking_rms_N = 0.0;      ///< measured force minus reference
+  double tracking_rms_N = 0.0;  ///< measured force minus reference
   double tracking_max_N = 0.0;
   double fit_force_rms_N = 0.0;
   double fit_velocity_rms_rad_s = 0.0;
-  std::vector<double> estimate;     ///< the seven parameters from this run alone, SI, in the table's order
+  std::vector<double> estimate;  ///< the seven parameters from this run alone, SI, in the table's order
   bool converged = false;
-  std::string checksum_sha256;      ///< of format_run(run)
+  std::string checksum_sha256;  ///< of format_run(run)
 };
 
 /// Everything the trade expects in the record of one check (traceability first).

@@ -11,10 +11,11 @@ struct ReferenceRow {
   double force_N = 0.0;
   double position_rad = 0.0;
   double velocity_rad_s = 0.0;
-  double torque_Nm = 0.0;          ///< feed-forward acting from this row until the next
-  double stiffness_N_rad = 0.0;    ///< dF/dx of the nominal brake here: turns a force error into a position error
-  double gain_position = 0.0;      ///< N m per rad
-  double gain_velocity = 0.0;      ///< N m per rad/s
+  double torque_Nm = 0.0;  ///< feed-forward acting from this row until the next
+  double stiffness_N_rad =
+      0.0;                     ///< dF/dx of the nominal brake here: turns a force error into a position error
+  double gain_position = 0.0;  ///< N m per rad
+  double gain_velocity = 0.0;  ///< N m per rad/s
 };
 
 /// The trajectory as built before a check, read-only for the loop: one row per sample period.

@@ -25,11 +25,11 @@ std::string_view to_string(CheckPhase phase) noexcept;
 /// Why the station went to FAULT. Numbered: the numbers are stable and appear in records.
 enum class FaultCause : std::uint8_t {
   None = 0,
-  FeedbackMissing = 1,     ///< no feedback at all within the start-up time
-  FeedbackStale = 2,       ///< feedback stopped
-  FeedbackCorrupt = 3,     ///< CRC errors
-  FeedbackFrozen = 4,      ///< alive counter or sample clock stands still or jumps
-  FeedbackImplausible = 5, ///< non-finite, or outside of what the brake can physically do
+  FeedbackMissing = 1,      ///< no feedback at all within the start-up time
+  FeedbackStale = 2,        ///< feedback stopped
+  FeedbackCorrupt = 3,      ///< CRC errors
+  FeedbackFrozen = 4,       ///< alive counter or sample clock stands still or jumps
+  FeedbackImplausible = 5,  ///< non-finite, or outside of what the brake can physically do
   BusOff = 6,
   LinkDown = 7,
   SendFailed = 8,
@@ -38,12 +38,12 @@ enum class FaultCause : std::uint8_t {
   OverTorque = 11,
   OverTravel = 12,
   MissedTicks = 13,
-  NonFinite = 14,          ///< our own control law produced a non-finite value
-  BrakeFault = 15,         ///< the brake reports its watchdog or an internal fault
-  SequenceTimeout = 16,    ///< a phase of the check did not end in time (contact not found, never at rest)
+  NonFinite = 14,        ///< our own control law produced a non-finite value
+  BrakeFault = 15,       ///< the brake reports its watchdog or an internal fault
+  SequenceTimeout = 16,  ///< a phase of the check did not end in time (contact not found, never at rest)
   OperatorStop = 17,
   EmergencyStop = 18,
-  SampleLost = 19,         ///< samples missing within a run
+  SampleLost = 19,  ///< samples missing within a run
 };
 std::string_view to_string(FaultCause cause) noexcept;
 
@@ -56,11 +56,11 @@ struct Sample {
   double velocity_rad_s = 0.0;
   double force_N = 0.0;
   double position_rad = 0.0;
-  double torque_command_Nm = 0.0;   ///< sent in answer to this sample; acts from the next one on
-  double force_reference_N = 0.0;   ///< the reference at this sample; 0 outside of a trajectory
-  std::int32_t lateness_ns = 0;     ///< wake-up lateness of the tick that took it
+  double torque_command_Nm = 0.0;      ///< sent in answer to this sample; acts from the next one on
+  double force_reference_N = 0.0;      ///< the reference at this sample; 0 outside of a trajectory
+  std::int32_t lateness_ns = 0;        ///< wake-up lateness of the tick that took it
   std::int32_t trajectory_index = -1;  ///< row of the trajectory, -1 outside of a run
-  std::uint16_t repeat = 0;         ///< 0-based repeat of the check
+  std::uint16_t repeat = 0;            ///< 0-based repeat of the check
   StationState state = StationState::Init;
   CheckPhase phase = CheckPhase::None;
   FaultCause fault = FaultCause::None;

@@ -32,5 +32,4 @@ struct LimitSet {
 Result<LimitSet> read_limits(const std::string& path);
 Result<LimitSet> parse_limits(const std::string& text, const std::string& path);
 
-
 }  // namespace clampd

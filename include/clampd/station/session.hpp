@@ -88,8 +88,8 @@ class CheckSession {
 /// runs (from 8 runs on) and, for 3 to 7 runs, the standard error of the runs' own estimates.
 ParameterVector reported_sd_normalised(const OutputErrorSummary& joint, const std::vector<RunRecord>& runs);
 
-/// What the tare's own uncertainty adds to it (normalised, in quadrature): all repeats share one tare, so that their
-/// scatter does not show it.
+/// What the tare's own uncertainty adds to it (normalised, in quadrature): all repeats share one tare, so
+/// that their scatter does not show it.
 ParameterVector tare_sd_normalised(const OutputErrorSummary& joint, const Tare& tare);
 
 }  // namespace clampd

@@ -38,7 +38,7 @@ start_brake() {
     printf '\n[[fault]]\nkind = "%s"\nat_s = %s\nduration_s = %s\n' "$2" "$3" "$4" >>/tmp/plant.toml
   fi
   rm -f "$trace"
-  clampd-plant --interface $brake_interface --config /tmp/plant.toml --dbc brake.dbc --realtime $brake_priority \
+  clampd-plant --interface $brake_interface --config /tmp/plant.toml --dbc configs/brake.dbc --realtime $brake_priority \
     --trace "$trace" >>/tmp/plant.log 2>&1 &
   brake_pid=$!
   wait_until 5 "the brake runs" trace_has_rows
@@ -53,12 +53,15 @@ stop_brake() {
 
 start_station() {
   cat >/tmp/station.toml <<TOML
+[station]
 name = "virtual-bench"
 [can]
 interface = "$station_interface"
-dbc = "/bench/brake.dbc"
+dbc = "/bench/configs/brake.dbc"
 [realtime]
 priority = $station_priority
+[limits]
+file = "/bench/configs/limits.toml"
 [archive]
 database = "/tmp/checks.sqlite"
 [control]
@@ -74,7 +77,7 @@ station_is() { [ "$(status state)" = "$1" ]; }
 
 # status FIELD: of the station, empty if it does not answer.
 status() {
-  clampctl --config /tmp/station.toml status --json /tmp/status.json >/dev/null 2>/tmp/status.err &&
+  clampctl --config /tmp/station.toml status --json >/tmp/status.json 2>/tmp/status.err &&
     json_get /tmp/status.json "/$1"
 }
 
