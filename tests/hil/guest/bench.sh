@@ -105,7 +105,7 @@ expect_close_to_truth() {
     value=$(json_get "/tmp/$1.json" /parameters/$index/value)
     sd=$(json_get "/tmp/$1.json" /parameters/$index/sd)
     distance=$(awk -v value="$value" -v sd="$sd" -v truth="$(truth "$name")" \
-      'BEGIN { d = (value - truth) / sd; print sd > 0 ? (d < 0 ? -d : d) : "" }')
+      'BEGIN { d = (value - truth) / sd; print (sd > 0 ? (d < 0 ? -d : d) : "") }')
     at_most "$name = $value, truth $(truth "$name"), distance in sd ($sd)" "$distance" 3
     index=$((index + 1))
   done
