@@ -102,6 +102,10 @@ CheckRecord CheckConductor::finish(Instant now) {
   if (status.state.load() == StationState::Fault) {
     outcome.fault = status.fault.load();
     outcome.fault_text = std::string(rt::fault_rule(outcome.fault).advice);
+    // Silence is noticed before the kernel says why: whoever reads the record wants to know.
+    if (const LinkState link = core_.health().link; link != LinkState::Up)
+      outcome.fault_text +=
+          fmt::format(" The CAN interface {} is {}.", station_.configuration.can.interface, to_string(link));
     outcome.flight_recorder = core_.flight_recorder().last_capture();
   }
   outcome.health = difference(core_.health(), health_before_);
