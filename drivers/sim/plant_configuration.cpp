@@ -191,14 +191,15 @@ Result<void> PlantConfiguration::validate() const {
   return {};
 }
 
-Result<PlantConfiguration> read_plant_configuration(const std::string& path) {
+Result<PlantConfiguration> read_plant_configuration(const std::string& path, const PlantConfiguration& base) {
   const Result<std::string> text = read_file(path);
   if (!text) return tl::unexpected(text.error());
-  return parse_plant_configuration(*text, path);
+  return parse_plant_configuration(*text, path, base);
 }
 
-Result<PlantConfiguration> parse_plant_configuration(std::string_view text, const std::string& path) {
-  PlantConfiguration configuration;
+Result<PlantConfiguration> parse_plant_configuration(std::string_view text, const std::string& path,
+                                                     const PlantConfiguration& base) {
+  PlantConfiguration configuration = base;
   const Result<BrakeParameters> brake = parse_brake_parameters(text, path);
   if (!brake) return tl::unexpected(brake.error());
   configuration.brake = *brake;

@@ -61,10 +61,13 @@ struct PlantConfiguration {
 
 /// Reads [parameters] or [parameters_normalised] and [fixed] (as `read_brake_parameters`), [plant],
 /// [sensors], [effects] (name = value) and [[fault]] (kind, at_s, duration_s). What is not named keeps its
-/// default; an unknown table or key is an error that names file and line.
-Result<PlantConfiguration> read_plant_configuration(const std::string& path);
+/// value in `base`, except that the brake's parameters start from nominal; an unknown table or key is an
+/// error that names file and line.
+Result<PlantConfiguration> read_plant_configuration(const std::string& path,
+                                                    const PlantConfiguration& base = {});
 
 /// The same from text; `path` stands for the file in messages.
-Result<PlantConfiguration> parse_plant_configuration(std::string_view text, const std::string& path);
+Result<PlantConfiguration> parse_plant_configuration(std::string_view text, const std::string& path,
+                                                     const PlantConfiguration& base = {});
 
 }  // namespace clampd::sim

@@ -84,8 +84,7 @@ TEST_F(CommandLine, ChecksAGoodBrake) {
 }
 
 TEST_F(CommandLine, FailsASoftBrakeAndNamesTheParameter) {
-  write("soft.toml",
-        "[parameters_normalised]\nk2 = 0.7\n[sensors]\nforce_noise_N = 30.0\nvelocity_noise_rad_s = 0.3\n");
+  write("soft.toml", "[parameters_normalised]\nk2 = 0.7\n");
   const Outcome outcome =
       clampctl("run --serial SOFT-1 --repeats 8 --simulated-brake soft.toml --json check.json");
   EXPECT_EQ(outcome.exit_code, 1) << outcome.output;

@@ -143,4 +143,11 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
   return station;
 }
 
+Result<sim::PlantConfiguration> load_plant(const std::string& path) {
+  Result<sim::PlantConfiguration> shipped =
+      sim::parse_plant_configuration(kBuiltinPlant, "built-in plant.toml");
+  if (!shipped || path.empty()) return shipped;
+  return sim::read_plant_configuration(path, *shipped);
+}
+
 }  // namespace clampd::assembly

@@ -7,6 +7,7 @@
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"
 #include "drivers/can/codec.hpp"
+#include "drivers/sim/plant_configuration.hpp"
 #include "rt/check_sequence.hpp"
 #include "rt/supervisor.hpp"
 
@@ -28,5 +29,9 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
 
 /// The configuration of `path`; empty: /etc/clampd/station.toml if it is there, else the defaults.
 Result<StationConfiguration> load_configuration(const std::string& path);
+
+/// The simulated brake of `path`, on top of the one that ships: what the file does not name (noise, quanta,
+/// clearance) is as there. Empty: the one that ships.
+Result<sim::PlantConfiguration> load_plant(const std::string& path);
 
 }  // namespace clampd::assembly

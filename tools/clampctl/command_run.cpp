@@ -13,7 +13,6 @@
 #include "clampd/station/verdict.hpp"
 #include "drivers/can/socketcan.hpp"
 #include "drivers/sim/plant_configuration.hpp"
-#include "tools/assembly/builtin.hpp"
 #include "tools/assembly/embedded_station.hpp"
 #include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
@@ -53,9 +52,7 @@ int run_embedded(const RunOptions& options, StationConfiguration configuration) 
   configuration.simulated_brake = true;
   const std::string& plant_file =
       options.simulated_brake.empty() ? configuration.plant_file : options.simulated_brake;
-  const Result<sim::PlantConfiguration> plant =
-      plant_file.empty() ? sim::parse_plant_configuration(assembly::kBuiltinPlant, "built-in plant.toml")
-                         : sim::read_plant_configuration(plant_file);
+  const Result<sim::PlantConfiguration> plant = assembly::load_plant(plant_file);
   if (!plant) return cli::refuse(plant.error());
   Result<assembly::PreparedStation> prepared = assembly::prepare_station(configuration);
   if (!prepared) return cli::refuse(prepared.error());

@@ -9,6 +9,7 @@
 #include "drivers/sim/effects.hpp"
 #include "drivers/sim/plant_configuration.hpp"
 #include "tools/assembly/builtin.hpp"
+#include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
@@ -31,9 +32,7 @@ struct SimulateOptions {
 };
 
 Result<sim::PlantConfiguration> plant_configuration(const SimulateOptions& options) {
-  Result<sim::PlantConfiguration> plant =
-      options.plant.empty() ? sim::parse_plant_configuration(assembly::kBuiltinPlant, "built-in plant.toml")
-                            : sim::read_plant_configuration(options.plant);
+  Result<sim::PlantConfiguration> plant = assembly::load_plant(options.plant);
   if (!plant) return plant;
   if (options.seed) plant->seed = *options.seed;
   for (const std::string& effect : options.effects)
