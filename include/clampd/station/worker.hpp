@@ -41,7 +41,7 @@ class IdentificationWorker {
   struct Outcome {
     std::vector<RunRecord> runs;  ///< in the order of submission
     OutputErrorSummary
-        joint;  ///< over all runs; its start is the mean of the runs' estimates, if there are any
+        joint;  ///< over all runs; its start is the median of the runs' estimates, if there are any
   };
   /// Waits for what was submitted, then fits all runs jointly. Once only; submit() is over then.
   Outcome finish();
