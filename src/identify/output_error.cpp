@@ -285,7 +285,7 @@ struct Attempt {
 
 class Solver {
  public:
-  Solver(std::span<const Run> runs, const OutputErrorOptions& options)
+  Solver(std::span<const Run> runs, const EstimatorOptions& options)
       : runs_(runs),
         options_(options),
         fit_(runs, options.start.fixed),
@@ -394,7 +394,7 @@ class Solver {
   }
 
   std::span<const Run> runs_;
-  const OutputErrorOptions& options_;
+  const EstimatorOptions& options_;
   JointFit fit_;
   SensorNoise seen_;
   ceres::TinySolver<JointFit> solver_;
@@ -475,7 +475,7 @@ Uncertainty uncertainty_of(const JointFit& fit, std::size_t runs) {
 
 }  // namespace
 
-Result<void> OutputErrorOptions::validate() const {
+Result<void> EstimatorOptions::validate() const {
   if (max_iterations < 1)
     return failure(fmt::format("max_iterations is {}; it must be at least 1", max_iterations));
   for (std::size_t i = 0; i < kParameterCount; ++i) {
@@ -508,9 +508,9 @@ std::string_view to_string(Termination termination) noexcept {
   return "unknown";
 }
 
-OutputErrorSummary identify_output_error(std::span<const Run> runs, const OutputErrorOptions& options) {
+Estimate identify_output_error(std::span<const Run> runs, const EstimatorOptions& options) {
   const auto began = std::chrono::steady_clock::now();
-  OutputErrorSummary summary;
+  Estimate summary;
   summary.parameters.fixed = options.start.fixed;
   summary.parameters.theta.setConstant(kNaN);
   summary.covariance_normalised.setConstant(kNaN);

@@ -41,8 +41,8 @@ std::string instruments_json(const std::vector<Instrument>& instruments) {
   return text + "]";
 }
 
-OutputErrorOptions estimator_options(const StationConfiguration& configuration) {
-  OutputErrorOptions options;
+EstimatorOptions estimator_options(const StationConfiguration& configuration) {
+  EstimatorOptions options;
   options.start = configuration.model;
   return options;
 }
@@ -102,7 +102,7 @@ Result<void> validate(const CheckRequest& request) {
   return {};
 }
 
-ParameterVector reported_sd_normalised(const OutputErrorSummary& joint, const std::vector<RunRecord>& runs) {
+ParameterVector reported_sd_normalised(const Estimate& joint, const std::vector<RunRecord>& runs) {
   ParameterVector sd = joint.covariance_normalised.diagonal().cwiseSqrt();
   if (joint.covariance_normalised_over_runs.allFinite())
     return sd.cwiseMax(joint.covariance_normalised_over_runs.diagonal().cwiseSqrt());
@@ -121,7 +121,7 @@ ParameterVector reported_sd_normalised(const OutputErrorSummary& joint, const st
   return sd.cwiseMax((squares / (n * (n - 1.0))).cwiseSqrt());
 }
 
-ParameterVector tare_sd_normalised(const OutputErrorSummary& joint, const Tare& tare) {
+ParameterVector tare_sd_normalised(const Estimate& joint, const Tare& tare) {
   const double mean_of = std::sqrt(static_cast<double>(std::max<std::uint64_t>(tare.samples, 1)));
   const Eigen::Vector2d offset_sd(tare.force_sd_N / mean_of, tare.velocity_sd_rad_s / mean_of);
   return (joint.offset_sensitivity * offset_sd.asDiagonal()).rowwise().norm();
@@ -169,7 +169,7 @@ CheckSession::Progress CheckSession::progress() const {
 
 CheckRecord CheckSession::finish(CheckOutcome outcome) {
   IdentificationWorker::Outcome identified = worker_.finish();
-  const OutputErrorSummary& joint = identified.joint;
+  const Estimate& joint = identified.joint;
   CheckRecord record = std::move(record_);
   record.runs = std::move(identified.runs);
   record.stopped = format_utc(std::max(outcome.stopped_utc_ns, started_utc_ns_));

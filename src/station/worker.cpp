@@ -17,7 +17,7 @@ double median(std::vector<double> values) {
 }
 
 /// The runs' estimates are the best start there is: their median is not misled by a run that went astray.
-OutputErrorOptions joint_options(OutputErrorOptions options, const std::vector<RunRecord>& records) {
+EstimatorOptions joint_options(EstimatorOptions options, const std::vector<RunRecord>& records) {
   for (std::size_t i = 0; i < kParameterCount; ++i) {
     std::vector<double> values;
     for (const RunRecord& record : records)
@@ -29,7 +29,7 @@ OutputErrorOptions joint_options(OutputErrorOptions options, const std::vector<R
 
 }  // namespace
 
-IdentificationWorker::IdentificationWorker(Estimator estimator, OutputErrorOptions options,
+IdentificationWorker::IdentificationWorker(Estimator estimator, EstimatorOptions options,
                                            std::size_t capacity, WorkerMode mode)
     : estimator_(std::move(estimator)), options_(std::move(options)), capacity_(capacity), mode_(mode) {
   CLAMPD_ASSERT(estimator_ && capacity_ > 0);
@@ -47,7 +47,7 @@ IdentificationWorker::~IdentificationWorker() {
 }
 
 RunRecord IdentificationWorker::identify(CollectedRun collected) const {
-  const OutputErrorSummary summary = estimator_(std::span<const Run>(&collected.run, 1), options_);
+  const Estimate summary = estimator_(std::span<const Run>(&collected.run, 1), options_);
   RunRecord record;
   record.tracking_rms_N = collected.tracking_rms_N;
   record.tracking_max_N = collected.tracking_max_N;

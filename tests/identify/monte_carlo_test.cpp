@@ -18,7 +18,7 @@ constexpr double kForceNoise_N = 75.0;
 constexpr double kVelocityNoise_rad_s = 1.5;
 constexpr double kTorqueNoise_Nm = 0.0142;
 
-ParameterVector normalised_error(const OutputErrorSummary& summary, const BrakeParameters& truth) {
+ParameterVector normalised_error(const Estimate& summary, const BrakeParameters& truth) {
   return (summary.parameters.theta - truth.theta).cwiseQuotient(nominal_parameters());
 }
 
@@ -77,7 +77,7 @@ TEST(OutputErrorMonteCarlo, ConvergesFromHalfToOneAndAHalfTimesTheTruth) {
   for (int i = 0; i < kRuns; ++i) {
     const clampd::Run run = support::noisy_run(torque, simulation.force_N, simulation.velocity_rad_s,
                                                kForceNoise_N, kVelocityNoise_rad_s, generator);
-    OutputErrorOptions options;
+    EstimatorOptions options;
     for (auto& value : options.start.theta) value *= factor(generator);
     const auto summary = identify_output_error({&run, 1}, options);
     const ParameterVector error = normalised_error(summary, truth);

@@ -39,7 +39,7 @@ clampd::Run constant_run(std::size_t rows, double torque_Nm, double velocity_rad
   return run;
 }
 
-void expect_no_nonsense(const OutputErrorSummary& summary) {
+void expect_no_nonsense(const Estimate& summary) {
   EXPECT_FALSE(summary.message.empty());
   if (summary.converged()) {
     EXPECT_TRUE(summary.parameters.theta.allFinite());
@@ -109,7 +109,7 @@ TEST(OutputError, TakesIrregularTimeStamps) {
 
 TEST(OutputError, UsesKnownNoise) {
   const auto runs = repeats(1, {}, 5);
-  OutputErrorOptions options;
+  EstimatorOptions options;
   options.noise_force_N = 150.0;
   options.noise_velocity_rad_s = 3.0;
   const auto twice = identify_output_error(runs, options);
@@ -121,7 +121,7 @@ TEST(OutputError, UsesKnownNoise) {
 
 TEST(OutputError, ReportsTheIterationLimit) {
   const auto runs = repeats(1, {}, 6);
-  OutputErrorOptions options;
+  EstimatorOptions options;
   options.max_iterations = 1;
   options.start.theta *= 1.3;
   EXPECT_EQ(identify_output_error(runs, options).termination, Termination::IterationLimit);
@@ -192,9 +192,9 @@ TEST(OutputError, RejectsWhatIsNotARun) {
   EXPECT_THAT(message_of(constant_run(1, 0.0, 0.0, 0.0)), HasSubstr("1 rows"));
 }
 
-TEST(OutputErrorOptions, AreValidated) {
-  EXPECT_TRUE(OutputErrorOptions{}.validate());
-  OutputErrorOptions options;
+TEST(EstimatorOptions, AreValidated) {
+  EXPECT_TRUE(EstimatorOptions{}.validate());
+  EstimatorOptions options;
   options.max_iterations = 0;
   EXPECT_FALSE(options.validate());
   options = {};

@@ -24,8 +24,8 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// An estimator that found `theta` with 1 % uncertainty.
 Estimator finds(const ParameterVector& theta, double force_rms_N = 5.0) {
-  return [=](Runs runs, const OutputErrorOptions&) {
-    OutputErrorSummary summary;
+  return [=](Runs runs, const EstimatorOptions&) {
+    Estimate summary;
     summary.termination = Termination::Converged;
     summary.parameters.theta = theta;
     summary.covariance_normalised = 1e-4 * ParameterMatrix::Identity();
@@ -150,8 +150,8 @@ TEST_P(Session, WithoutATareThereIsNoVerdict) {
 }
 
 TEST_P(Session, AFitThatDoesNotConvergeIsAnErrorWithItsReason) {
-  const CheckRecord record = check(samples, [](Runs, const OutputErrorOptions&) {
-    OutputErrorSummary summary;
+  const CheckRecord record = check(samples, [](Runs, const EstimatorOptions&) {
+    Estimate summary;
     summary.termination = Termination::NotIdentifiable;
     summary.message = "the information matrix is singular";
     summary.parameters.theta.setConstant(kNaN);
@@ -180,7 +180,7 @@ INSTANTIATE_TEST_SUITE_P(Modes, Session, ::testing::Values(WorkerMode::Backgroun
                          });
 
 TEST(ReportedSd, IsTheLargestOfWhatIsKnown) {
-  OutputErrorSummary joint;
+  Estimate joint;
   joint.covariance_normalised = 1e-4 * ParameterMatrix::Identity();
   joint.covariance_normalised_over_runs = ParameterMatrix::Constant(kNaN);
   EXPECT_NEAR(reported_sd_normalised(joint, {})[k2], 0.01, 1e-12);

@@ -23,8 +23,8 @@ CollectedRun run_of(double value) {
 }
 
 /// "Estimates" k2 as the mean of the first force values; TC reports the start it was given.
-OutputErrorSummary mean_of_forces(Runs runs, const OutputErrorOptions& options) {
-  OutputErrorSummary summary;
+Estimate mean_of_forces(Runs runs, const EstimatorOptions& options) {
+  Estimate summary;
   summary.termination = Termination::Converged;
   summary.parameters.theta = nominal_parameters();
   double sum = 0.0;
@@ -65,8 +65,8 @@ TEST_P(Worker, WithoutRunsThereIsNoEstimate) {
 }
 
 TEST_P(Worker, ARunAloneThatDoesNotConvergeIsKeptAndNoStart) {
-  const Estimator estimator = [](Runs runs, const OutputErrorOptions& options) {
-    OutputErrorSummary summary = mean_of_forces(runs, options);
+  const Estimator estimator = [](Runs runs, const EstimatorOptions& options) {
+    Estimate summary = mean_of_forces(runs, options);
     if (runs.size() == 1 && runs[0].force_N[0] == 2.0) summary.termination = Termination::IterationLimit;
     return summary;
   };
@@ -86,7 +86,7 @@ INSTANTIATE_TEST_SUITE_P(Modes, Worker, ::testing::Values(WorkerMode::Background
 TEST(BackgroundWorker, WorksBesideItsCallerAndRefusesWhatDoesNotFit) {
   std::counting_semaphore<16> started(0);
   std::counting_semaphore<16> go_on(0);
-  const Estimator slow = [&](Runs runs, const OutputErrorOptions& options) {
+  const Estimator slow = [&](Runs runs, const EstimatorOptions& options) {
     started.release();
     go_on.acquire();
     return mean_of_forces(runs, options);
@@ -106,7 +106,7 @@ TEST(BackgroundWorker, CanBeDroppedWithRunsStillWaiting) {
   std::atomic<int> fits{0};
   {
     IdentificationWorker worker(
-        [&](Runs runs, const OutputErrorOptions& options) {
+        [&](Runs runs, const EstimatorOptions& options) {
           ++fits;
           return mean_of_forces(runs, options);
         },

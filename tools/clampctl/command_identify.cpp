@@ -27,14 +27,14 @@ nlohmann::ordered_json number_or_null(double value) {
 
 /// Repeats show what the torque reading's noise does to the estimates, which the Cramér-Rao figure cannot
 /// know: where there are enough of them, the larger of both is reported.
-ParameterMatrix reported_covariance(const OutputErrorSummary& summary) {
+ParameterMatrix reported_covariance(const Estimate& summary) {
   if (!summary.covariance_normalised_over_runs.allFinite()) return summary.covariance_normalised;
   return summary.covariance_normalised_over_runs.trace() > summary.covariance_normalised.trace()
              ? summary.covariance_normalised_over_runs
              : summary.covariance_normalised;
 }
 
-nlohmann::ordered_json identify_json(const OutputErrorSummary& summary, std::size_t runs) {
+nlohmann::ordered_json identify_json(const Estimate& summary, std::size_t runs) {
   const ParameterVector nominal = nominal_parameters();
   const ParameterMatrix covariance = reported_covariance(summary);
   nlohmann::ordered_json document{{"schema", "clampd.identify/1"},
@@ -69,7 +69,7 @@ nlohmann::ordered_json identify_json(const OutputErrorSummary& summary, std::siz
   return document;
 }
 
-void print_table(const OutputErrorSummary& summary, std::size_t runs) {
+void print_table(const Estimate& summary, std::size_t runs) {
   const ParameterVector nominal = nominal_parameters();
   const ParameterMatrix covariance = reported_covariance(summary);
   fmt::print("Output error method on {} run{}: {} ({} iterations, {:.1f} ms)\n\n", runs, runs == 1 ? "" : "s",
@@ -97,13 +97,13 @@ int identify(const IdentifyOptions& options) {
     for (const std::string& notice : loaded->notices) cli::print_notice(notice);
     runs.push_back(std::move(loaded->run));
   }
-  OutputErrorOptions settings;
+  EstimatorOptions settings;
   if (!options.parameters.empty()) {
     Result<BrakeParameters> start = read_brake_parameters(options.parameters);
     if (!start) return cli::refuse(start.error());
     settings.start = *start;
   }
-  const OutputErrorSummary summary = identify_output_error(runs, settings);
+  const Estimate summary = identify_output_error(runs, settings);
   if (const Result<void> written = cli::write_json(options.json, identify_json(summary, runs.size()));
       !written)
     return cli::refuse(written.error());

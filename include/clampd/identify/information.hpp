@@ -14,6 +14,13 @@ struct SensorNoise {
   double velocity_rad_s = 1.5;
 };
 
+/// All noise of a run. Torque: white error of the recorded torque, one value held over each step of
+/// kLargestStep_s; it moves the brake, so that the readings share it (the paper's Q).
+struct NoiseLevels {
+  SensorNoise sensors;
+  double torque_Nm = 0.0;
+};
+
 /// The initial state is a nuisance with this very weak prior, so that a start at rest, where nothing depends
 /// on an infinitesimal initial velocity, does not make the information singular.
 inline constexpr double kInitialPositionPrior_rad = 10.0;
@@ -31,6 +38,13 @@ JointInformation joint_information(const SensitivitySimulation& simulation,
 JointInformation joint_information(const BrakeParameters& parameters, const BrakeState& initial,
                                    const Excitation& excitation, const SensorNoise& noise,
                                    SensitivitySimulation& buffer) noexcept;
+
+/// Fisher information of a run whose acting torque differs from the recorded one by white noise: the sum of
+/// the squared, S(k)-weighted innovation sensitivities of the Kalman filter along the nominal response.
+/// Without torque noise it is (14a). `excitation` is the recorded torque: for a brake under feedback, what the
+/// controller commanded. NaN if the simulation is not complete.
+JointInformation joint_information(const BrakeParameters& parameters, const BrakeState& initial,
+                                   const Excitation& excitation, const NoiseLevels& noise) noexcept;
 
 /// Information on the normalised parameters if the initial state is known.
 inline ParameterMatrix initial_state_known(const JointInformation& joint) {

@@ -86,10 +86,10 @@ class CheckSession {
 /// Standard deviation of an estimate (normalised), honest under noise of the torque reading: for each
 /// parameter the largest of the Cramér-Rao figure (which takes the torque as exact), the sandwich over the
 /// runs (from 8 runs on) and, for 3 to 7 runs, the standard error of the runs' own estimates.
-ParameterVector reported_sd_normalised(const OutputErrorSummary& joint, const std::vector<RunRecord>& runs);
+ParameterVector reported_sd_normalised(const Estimate& joint, const std::vector<RunRecord>& runs);
 
 /// What the tare's own uncertainty adds to it (normalised, in quadrature): all repeats share one tare, so
 /// that their scatter does not show it.
-ParameterVector tare_sd_normalised(const OutputErrorSummary& joint, const Tare& tare);
+ParameterVector tare_sd_normalised(const Estimate& joint, const Tare& tare);
 
 }  // namespace clampd

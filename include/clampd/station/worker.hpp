@@ -17,7 +17,7 @@
 namespace clampd {
 
 /// How runs become parameters: identify_output_error, or another in tests.
-using Estimator = std::function<OutputErrorSummary(std::span<const Run>, const OutputErrorOptions&)>;
+using Estimator = std::function<Estimate(std::span<const Run>, const EstimatorOptions&)>;
 
 enum class WorkerMode {
   Background,   ///< a thread of its own, so that estimation runs beside the next repeats
@@ -29,7 +29,7 @@ class IdentificationWorker {
  public:
   /// `capacity`: runs that may wait at once, at least 1. With the number of repeats, submit() never has to
   /// refuse.
-  IdentificationWorker(Estimator estimator, OutputErrorOptions options, std::size_t capacity,
+  IdentificationWorker(Estimator estimator, EstimatorOptions options, std::size_t capacity,
                        WorkerMode mode);
   ~IdentificationWorker();
   IdentificationWorker(const IdentificationWorker&) = delete;
@@ -40,7 +40,7 @@ class IdentificationWorker {
 
   struct Outcome {
     std::vector<RunRecord> runs;  ///< in the order of submission
-    OutputErrorSummary
+    Estimate
         joint;  ///< over all runs; its start is the median of the runs' estimates, if there are any
   };
   /// Waits for what was submitted, then fits all runs jointly. Once only; submit() is over then.
@@ -54,7 +54,7 @@ class IdentificationWorker {
   RunRecord identify(CollectedRun run) const;
 
   const Estimator estimator_;
-  const OutputErrorOptions options_;
+  const EstimatorOptions options_;
   const std::size_t capacity_;
   const WorkerMode mode_;
   std::vector<RunRecord> records_;  ///< the thread's until it is joined

@@ -1,0 +1,72 @@
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "clampd/base/result.hpp"
+#include "clampd/brake/parameters.hpp"
+
+namespace clampd {
+
+/// What a residual costs.
+enum class Loss {
+  Squared,  ///< Gaussian noise; efficient
+  Robust,   ///< Huber's: linear beyond 2.5 standard deviations, so that spikes in the readings count little
+};
+
+/// What both estimators want to know.
+struct EstimatorOptions {
+  BrakeParameters start;     ///< theta: initial guess; fixed: J and N as known
+  int max_iterations = 100;  ///< from each start
+  /// Parameters that stay at their start value.
+  std::array<bool, kParameterCount> held{};
+  /// Standard deviations of the noise, if known; otherwise estimated with the parameters. Torque: the error of
+  /// its reading, white, one value held over each millisecond.
+  std::optional<double> noise_force_N;
+  std::optional<double> noise_velocity_rad_s;
+  std::optional<double> noise_torque_Nm;
+  Loss loss = Loss::Squared;
+
+  Result<void> validate() const;
+};
+
+enum class Termination { Converged, IterationLimit, NotIdentifiable, NumericalFailure };
+std::string_view to_string(Termination termination) noexcept;
+
+/// d theta / theta_nom by an error common to all force readings (per N) and to all velocity readings (per
+/// rad/s).
+using OffsetSensitivity = Eigen::Matrix<double, static_cast<int>(kParameterCount), 2>;
+
+/// What an estimator found out from one or several runs: shared theta, each run its own initial state, every
+/// run with the same noise. Numbers are NaN where there is no estimate; entries of held parameters in the
+/// covariances are zero.
+struct Estimate {
+  Termination termination = Termination::NumericalFailure;
+  std::string message;  ///< why it stopped, in words
+  int iterations = 0;
+  double wall_s = 0.0;
+  BrakeParameters parameters;
+  /// Of theta / theta_nom; counts the noise of the readings and that of the torque.
+  ParameterMatrix covariance_normalised;
+  /// The same if the torque reading were exact: the inverse of (14).
+  ParameterMatrix covariance_exact_torque;
+  /// Cluster-robust (sandwich) covariance over runs, which presumes no noise model; NaN for fewer than 8 runs.
+  ParameterMatrix covariance_normalised_over_runs;
+  /// What a wrong tare does to the estimate; repeats that share a tare cannot show it by their scatter.
+  OffsetSensitivity offset_sensitivity = OffsetSensitivity::Zero();
+  std::vector<Eigen::Vector2d> initial_states;  ///< per run: position from contact (rad), velocity (rad/s)
+  double noise_force_N = 0.0;                   ///< standard deviations, estimated or as given
+  double noise_velocity_rad_s = 0.0;
+  double noise_torque_Nm = 0.0;
+  double force_rms_N = 0.0;  ///< of the residuals over all runs: open-loop for OEM, one-step for PEM
+  double velocity_rms_rad_s = 0.0;
+  std::vector<double> run_force_rms_N;  ///< the same per run
+  std::vector<double> run_velocity_rms_rad_s;
+
+  bool converged() const { return termination == Termination::Converged; }
+};
+
+}  // namespace clampd

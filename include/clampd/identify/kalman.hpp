@@ -1,0 +1,40 @@
+#pragma once
+
+#include <vector>
+
+#include "clampd/brake/integrator.hpp"
+#include "clampd/brake/parameters.hpp"
+#include "clampd/identify/information.hpp"
+#include "clampd/record/run.hpp"
+
+namespace clampd {
+
+/// A signal with its standard deviation, row by row. Bands are of the signal itself, without the sensor's
+/// noise.
+struct Band {
+  std::vector<double> mean;
+  std::vector<double> sd;
+};
+
+struct BandedRun {
+  Band position_rad;
+  Band velocity_rad_s;
+  Band force_N;
+};
+
+/// Three views of a run by the extended Kalman filter (15)-(19), for given parameters, initial state and
+/// noise. Rows as in the run; NaN from where the filter diverged on.
+struct KalmanViews {
+  BandedRun one_step;  ///< row k from the readings before row k
+  BandedRun filtered;  ///< row k from the readings up to row k
+  BandedRun smoothed;  ///< row k from all readings (Rauch-Tung-Striebel)
+};
+
+KalmanViews kalman_views(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+                         const NoiseLevels& noise);
+
+/// The open-loop simulation from `initial`, with the band that the torque's noise leaves it.
+BandedRun free_run(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+                   const NoiseLevels& noise);
+
+}  // namespace clampd
