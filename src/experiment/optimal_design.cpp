@@ -294,6 +294,30 @@ std::vector<double> expand_blocks(const std::vector<double>& block_torque_Nm, st
   return torque_Nm;
 }
 
+DesignEvaluation evaluate_design(const DesignOptions& options, std::span<const double> block_torque_Nm) {
+  CLAMPD_ASSERT(block_torque_Nm.size() * options.block_samples == options.samples);
+  const std::vector<double> torque_Nm =
+      expand_blocks({block_torque_Nm.begin(), block_torque_Nm.end()}, options.block_samples);
+  SensitivitySimulation run(torque_Nm.size());
+  simulate(options.brake, options.initial, Excitation{.torque_Nm = torque_Nm}, run);
+  DesignEvaluation evaluation;
+  if (!run.complete()) return evaluation;
+  const auto largest = [](const std::vector<double>& values) {
+    double result = 0.0;
+    for (const double value : values) result = std::max(result, std::abs(value));
+    return result;
+  };
+  evaluation.criterion = criterion_of(initial_state_known(joint_information(run, options.noise)));
+  evaluation.force_max_N = largest(run.force_N);
+  evaluation.velocity_max_rad_s = largest(run.velocity_rad_s);
+  const DesignLimits& limits = options.limits;
+  evaluation.violation = std::max(
+      {0.0, largest(torque_Nm) / limits.torque_Nm - 1.0, evaluation.force_max_N / limits.force_N - 1.0,
+       evaluation.velocity_max_rad_s / limits.velocity_rad_s - 1.0,
+       (std::abs(run.velocity_rad_s.back()) - limits.end_velocity_rad_s) / limits.velocity_rad_s});
+  return evaluation;
+}
+
 std::string_view to_string(DesignTermination termination) noexcept {
   switch (termination) {
     case DesignTermination::Certified:

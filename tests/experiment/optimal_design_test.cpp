@@ -5,6 +5,8 @@
 
 #include <gtest/gtest.h>
 
+#include "experiment/designs.hpp"
+
 namespace clampd {
 namespace {
 
@@ -31,6 +33,17 @@ void expect_sound(const DesignOptions& options, const DesignSummary& summary) {
   EXPECT_NEAR(certification.criterion.logdet, summary.criterion.logdet, kCertifiedLogdet);
   EXPECT_NEAR(std::log(certification.criterion.trace_inverse), std::log(summary.criterion.trace_inverse),
               0.1);
+}
+
+TEST(OptimalDesign, EvaluatesWhateverDesign) {
+  DesignOptions options;
+  options.samples = 200;
+  const DesignEvaluation good = evaluate_design(options, testing::kGoodBlocks_Nm);
+  EXPECT_NEAR(good.criterion.logdet, -68.33, 0.01);
+  EXPECT_EQ(good.violation, 0.0);
+  options.limits.force_N = 0.5 * good.force_max_N;
+  EXPECT_NEAR(evaluate_design(options, testing::kGoodBlocks_Nm).violation, 1.0, 1e-9);
+  EXPECT_TRUE(std::isinf(evaluate_design(options, std::vector<double>(10, 0.0)).criterion.logdet));
 }
 
 TEST(OptimalDesign, ReachesTheKnownOptimumOf100Samples) {

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <functional>
 #include <limits>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -64,6 +65,17 @@ struct DesignSummary {
 /// of many random experiments or of variations of the best designs so far. Repeats exactly for a given seed
 /// on one machine. Only a design that certify() confirms is offered.
 DesignSummary design_experiment(const DesignOptions& options);
+
+/// One experiment, good or not, by the exact sensitivities of simulate(): what the search compares.
+struct DesignEvaluation {
+  Criterion criterion{std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity()};
+  double force_max_N = std::numeric_limits<double>::infinity();  ///< among the samples, like the speed
+  double velocity_max_rad_s = std::numeric_limits<double>::infinity();
+  /// Largest excess over a limit of the options, as a share of it; 0 where all are kept.
+  double violation = std::numeric_limits<double>::infinity();
+};
+/// `block_torque_Nm`: one per block of `options`. Everything stays infinite if the run leaves the model.
+DesignEvaluation evaluate_design(const DesignOptions& options, std::span<const double> block_torque_Nm);
 
 /// One torque per sample from one per block.
 std::vector<double> expand_blocks(const std::vector<double>& block_torque_Nm, std::size_t block_samples);
