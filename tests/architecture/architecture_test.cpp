@@ -84,6 +84,8 @@ INSTANTIATE_TEST_SUITE_P(
         Planted{"station_to_rt", "src/station/a.cpp", "#include \"rt/supervisor.hpp\"", "station must not"},
         Planted{"archive_to_identify", "src/archive/a.cpp", "#include \"clampd/identify/output_error.hpp\"",
                 "archive must not"},
+        Planted{"report_to_record", "src/report/a.cpp", "#include \"clampd/record/run.hpp\"",
+                "report must not"},
         Planted{"src_to_tools", "src/station/a.cpp", "#include \"tools/cli/terminal.hpp\"",
                 "station must not"},
         Planted{"src_to_tests", "src/station/a.cpp", "#include \"tests/support/x.hpp\"", "station must not"},

@@ -23,6 +23,7 @@ const std::map<std::string_view, Rooms>& arrows() {
       {"diagnose", {"identify", "brake", "record", "base"}},
       {"station", {"diagnose", "experiment", "identify", "brake", "record", "base"}},
       {"archive", {"record", "base"}},
+      {"report", {"base"}},
       {"rt", {"record", "base"}},
       {"drivers/can", {"record", "base"}},
       {"drivers/gpio", {"record", "base"}},
