@@ -6,6 +6,8 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
+#include "src/identify/linear_run.hpp"
+
 namespace clampd {
 
 namespace {
@@ -51,6 +53,22 @@ JointInformation joint_information(const BrakeParameters& parameters, const Brak
                                    SensitivitySimulation& buffer) noexcept {
   simulate(parameters, initial, excitation, buffer);
   return joint_information(buffer, noise);
+}
+
+JointInformation joint_information(const BrakeParameters& parameters, const BrakeState& initial,
+                                   const Excitation& excitation, const NoiseLevels& noise) {
+  Run run;
+  run.torque_Nm.assign(excitation.torque_Nm.begin(), excitation.torque_Nm.end());
+  run.force_N.assign(excitation.size(), 0.0);
+  run.velocity_rad_s.assign(excitation.size(), 0.0);
+  run.time_s.assign(excitation.time_s.begin(), excitation.time_s.end());
+  for (std::size_t k = run.time_s.size(); k < excitation.size(); ++k)
+    run.time_s.push_back(excitation.dt_s * static_cast<double>(k));
+  identify::LinearRun linear;
+  linear.resize(run.size());
+  if (!identify::linearise(run, parameters, initial, linear)) return JointInformation::Constant(kNaN);
+  identify::update_gains(identify::variances_of(noise), {}, linear);
+  return identify::normal_equations(linear).topLeftCorner<kSensitivityColumns, kSensitivityColumns>();
 }
 
 ParameterMatrix initial_state_unknown(const JointInformation& joint) {

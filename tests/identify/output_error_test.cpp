@@ -116,7 +116,8 @@ TEST(OutputError, UsesKnownNoise) {
   const auto once = identify_output_error(runs, {});
   ASSERT_TRUE(twice.converged() && once.converged());
   EXPECT_NEAR(twice.covariance_normalised(1, 1) / once.covariance_normalised(1, 1), 4.0, 0.6);
-  EXPECT_NEAR(twice.noise_force_N, 75.0, 8.0);  // still by (9)
+  EXPECT_EQ(twice.noise_force_N, 150.0);
+  EXPECT_NEAR(twice.force_rms_N, 75.0, 8.0);
 }
 
 TEST(OutputError, ReportsTheIterationLimit) {

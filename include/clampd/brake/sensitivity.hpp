@@ -163,4 +163,27 @@ BrakeState advance_with_tangent(const Model& model, BrakeState state, Tangent<Mo
   return state;
 }
 
+/// A step linearised about its start: x(k+1) = f + transition dx + by_parameter dp + by_torque dT.
+template <int kParameters>
+struct LinearStep {
+  Eigen::Matrix2d transition;                          ///< A of (19)
+  Eigen::Matrix<double, 2, kParameters> by_parameter;  ///< per SI unit
+  Eigen::Vector2d by_torque;                           ///< of a torque error held over the step
+};
+
+/// advance() and its linearisation.
+template <class Model>
+BrakeState linearise_step(const Model& model, const BrakeState& state, double torque_Nm, double step_s,
+                          LinearStep<Model::kParameters>& step) noexcept {
+  using T = Tangent<Model::kParameters>;
+  T tangent = T::identity();
+  const BrakeState reached = advance_with_tangent(model, state, tangent, torque_Nm, step_s);
+  step.transition << tangent.position[T::kPosition], tangent.position[T::kVelocity],
+      tangent.velocity[T::kPosition], tangent.velocity[T::kVelocity];
+  step.by_parameter.row(0) = tangent.position.template head<Model::kParameters>();
+  step.by_parameter.row(1) = tangent.velocity.template head<Model::kParameters>();
+  step.by_torque << tangent.position[T::kTorque], tangent.velocity[T::kTorque];
+  return reached;
+}
+
 }  // namespace clampd

@@ -44,7 +44,7 @@ JointInformation joint_information(const BrakeParameters& parameters, const Brak
 /// Without torque noise it is (14a). `excitation` is the recorded torque: for a brake under feedback, what the
 /// controller commanded. NaN if the simulation is not complete.
 JointInformation joint_information(const BrakeParameters& parameters, const BrakeState& initial,
-                                   const Excitation& excitation, const NoiseLevels& noise) noexcept;
+                                   const Excitation& excitation, const NoiseLevels& noise);
 
 /// Information on the normalised parameters if the initial state is known.
 inline ParameterMatrix initial_state_known(const JointInformation& joint) {

@@ -1,0 +1,174 @@
+#include "src/identify/conclusion.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+
+#include <fmt/format.h>
+
+#include "src/identify/uncertainty.hpp"
+
+namespace clampd {
+
+namespace {
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+/// A standard deviation of so many times the nominal value: the runs say nothing about the parameter, and the
+/// linear covariance itself means nothing any more.
+constexpr double kUndetermined = 3.0;
+
+Result<void> check_runs(std::span<const Run> runs) {
+  if (runs.empty()) return failure("no run to identify from");
+  for (const Run& run : runs) {
+    const std::size_t rows = run.size();
+    if (rows < 2) return failure(fmt::format("run {}: has {} rows; at least 2 are needed", run.name, rows));
+    const std::pair<std::string_view, const std::vector<double>*> columns[] = {
+        {"time_s", &run.time_s},
+        {"torque_Nm", &run.torque_Nm},
+        {"velocity_rad_s", &run.velocity_rad_s},
+        {"force_N", &run.force_N}};
+    for (const auto& [name, column] : columns) {
+      if (column->size() != rows)
+        return failure(
+            fmt::format("run {}: {} has {} rows, time_s {}", run.name, name, column->size(), rows));
+      const auto bad =
+          std::find_if_not(column->begin(), column->end(), [](double x) { return std::isfinite(x); });
+      if (bad != column->end())
+        return failure(
+            fmt::format("run {}: row {} of {} is not finite", run.name, bad - column->begin(), name));
+    }
+    for (std::size_t k = 1; k < rows; ++k)
+      if (steps_in(run.time_s[k] - run.time_s[k - 1]) == 0)
+        return failure(
+            fmt::format("run {}: from {} s to {} s time does not increase or leaps by more than {} s; split "
+                        "the run there",
+                        run.name, run.time_s[k - 1], run.time_s[k], kLongestGap_s));
+  }
+  return {};
+}
+
+std::optional<Parameter> parameter_at_bound(const ParameterVector& theta) {
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const ParameterInfo& info = kParameterTable[i];
+    const double value = theta[static_cast<Eigen::Index>(i)];
+    const double margin = 1e-3 * std::abs(value);
+    if (value < info.lower + margin || value > info.upper - margin) return static_cast<Parameter>(i);
+  }
+  return std::nullopt;
+}
+
+}  // namespace
+
+Result<void> EstimatorOptions::validate() const {
+  if (max_iterations < 1)
+    return failure(fmt::format("max_iterations is {}; it must be at least 1", max_iterations));
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const ParameterInfo& info = kParameterTable[i];
+    const double value = start.theta[static_cast<Eigen::Index>(i)];
+    if (!(value >= info.lower && value <= info.upper))
+      return failure(fmt::format("start value {} = {} {} is outside of {} ... {}", info.name, value,
+                                 info.unit, info.lower, info.upper));
+  }
+  if (!(std::isfinite(start.fixed.inertia_kg_m2) && start.fixed.inertia_kg_m2 > 0.0 &&
+        std::isfinite(start.fixed.ratio_m_rad) && start.fixed.ratio_m_rad > 0.0))
+    return failure("inertia and gear ratio must be positive");
+  for (const auto& noise : {noise_force_N, noise_velocity_rad_s})
+    if (noise && !(std::isfinite(*noise) && *noise > 0.0))
+      return failure(fmt::format("a sensor noise of {} is not possible; it must be positive", *noise));
+  if (noise_torque_Nm && !(std::isfinite(*noise_torque_Nm) && *noise_torque_Nm >= 0.0))
+    return failure(
+        fmt::format("a torque noise of {} is not possible; it must not be negative", *noise_torque_Nm));
+  if (std::count(held.begin(), held.end(), false) == 0)
+    return failure("every parameter is held: nothing is left to estimate");
+  return {};
+}
+
+std::string_view to_string(Termination termination) noexcept {
+  switch (termination) {
+    case Termination::Converged:
+      return "converged";
+    case Termination::IterationLimit:
+      return "iteration limit";
+    case Termination::NotIdentifiable:
+      return "not identifiable";
+    case Termination::NumericalFailure:
+      return "numerical failure";
+  }
+  return "unknown";
+}
+
+namespace identify {
+
+Estimate empty_estimate(const EstimatorOptions& options) {
+  Estimate estimate;
+  estimate.parameters.fixed = options.start.fixed;
+  estimate.parameters.theta.setConstant(kNaN);
+  for (ParameterMatrix* matrix : {&estimate.covariance_normalised, &estimate.covariance_exact_torque,
+                                  &estimate.covariance_normalised_over_runs})
+    matrix->setConstant(kNaN);
+  estimate.offset_sensitivity.setConstant(kNaN);
+  for (double* value : {&estimate.noise_force_N, &estimate.noise_velocity_rad_s, &estimate.noise_torque_Nm,
+                        &estimate.force_rms_N, &estimate.velocity_rms_rad_s})
+    *value = kNaN;
+  return estimate;
+}
+
+Result<void> check_input(std::span<const Run> runs, const EstimatorOptions& options) {
+  if (auto valid = options.validate(); !valid) return valid;
+  return check_runs(runs);
+}
+
+void conclude(const JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& variances, bool settled,
+              const EstimatorOptions& options, Estimate& estimate) {
+  estimate.parameters.theta = fit.theta_of(unknowns);
+  estimate.noise_force_N = std::sqrt(variances.force);
+  estimate.noise_velocity_rad_s = std::sqrt(variances.velocity);
+  estimate.noise_torque_Nm = std::sqrt(variances.torque);
+  const Eigen::Vector2d rms = fit.mean_squares().cwiseSqrt();
+  estimate.force_rms_N = rms[0];
+  estimate.velocity_rms_rad_s = rms[1];
+  for (std::size_t r = 0; r < fit.linear_runs().size(); ++r) {
+    const Eigen::Vector2d of_run = fit.mean_squares(r).cwiseSqrt();
+    estimate.initial_states.push_back(fit.initial_of(unknowns, r));
+    estimate.run_force_rms_N.push_back(of_run[0]);
+    estimate.run_velocity_rms_rad_s.push_back(of_run[1]);
+  }
+  const auto end = [&](Termination termination, std::string message) {
+    estimate.termination = termination;
+    estimate.message = std::move(message);
+  };
+
+  const Uncertainty uncertainty = uncertainty_of(fit, variances, options.held);
+  if (const auto unknown = unidentifiable_parameter(uncertainty.information))
+    return end(
+        Termination::NotIdentifiable,
+        fmt::format("the runs do not tell the parameters apart, {} least of all: excite the brake more",
+                    kParameterTable[*unknown].name));
+  if (const auto bound = parameter_at_bound(estimate.parameters.theta))
+    return end(
+        Termination::NotIdentifiable,
+        fmt::format("{} ran into its bound: the runs do not determine it, or the model does not fit them",
+                    kParameterTable[*bound].name));
+  Eigen::Index vaguest = 0;
+  const double variance = uncertainty.covariance_exact_torque.diagonal().maxCoeff(&vaguest);
+  if (variance > kUndetermined * kUndetermined)
+    return end(
+        Termination::NotIdentifiable,
+        fmt::format(
+            "the runs do not determine {}: its standard deviation would be {:.0f} times its nominal value",
+            kParameterTable[static_cast<std::size_t>(vaguest)].name, std::sqrt(variance)));
+  estimate.covariance_normalised = uncertainty.covariance;
+  estimate.covariance_exact_torque = uncertainty.covariance_exact_torque;
+  estimate.covariance_normalised_over_runs = uncertainty.covariance_over_runs;
+  estimate.offset_sensitivity = uncertainty.offset_sensitivity;
+  if (!settled)
+    return end(Termination::IterationLimit,
+               fmt::format("still improving after {} iterations from each start", options.max_iterations));
+  end(Termination::Converged, "the cost no longer changes");
+}
+
+}  // namespace identify
+
+}  // namespace clampd

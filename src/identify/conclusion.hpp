@@ -1,0 +1,32 @@
+#pragma once
+
+#include <chrono>
+#include <span>
+#include <string>
+
+#include "src/identify/joint_fit.hpp"
+
+namespace clampd::identify {
+
+/// An estimate without any number: all NaN, the fixed parameters as given.
+Estimate empty_estimate(const EstimatorOptions& options);
+
+/// The first thing wrong with the runs or the options, in words.
+Result<void> check_input(std::span<const Run> runs, const EstimatorOptions& options);
+
+/// Fills the estimate from a fit evaluated at `unknowns`, whose runs have noise of these variances, and says
+/// whether it can be relied on. `settled`: the search ended by itself.
+void conclude(const JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& variances, bool settled,
+              const EstimatorOptions& options, Estimate& estimate);
+
+class Stopwatch {
+ public:
+  double seconds() const {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - began_).count();
+  }
+
+ private:
+  std::chrono::steady_clock::time_point began_ = std::chrono::steady_clock::now();
+};
+
+}  // namespace clampd::identify

@@ -1,0 +1,277 @@
+#include "src/identify/joint_fit.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <Eigen/Cholesky>
+
+#include "src/identify/starting_point.hpp"
+
+namespace clampd::identify {
+
+namespace {
+
+/// Stands for the cost where the model cannot be simulated, so that the solver steps back.
+constexpr double kImpossible = 1e30;
+
+/// Decrease of the weighted squares at which a fit ends: a last step of 0.03 standard deviations. The cost has
+/// faint kinks, where a stop crosses a sample, that make a finer search bounce.
+constexpr double kTolerance = 1e-3;
+
+/// Between two looks at whether anything is left to gain: at a kink the solver would bounce to its limit.
+constexpr int kRoundIterations = 4;
+
+/// Huber's bend, in standard deviations, and the mean of the weighted square of a standard normal with it.
+constexpr double kHuberBend = 2.5;
+constexpr double kHuberSquare = 0.9876;
+
+bool is_logarithmic(int parameter) { return parameter != static_cast<int>(k1); }
+
+/// Upper triangular U with U^T U = matrix, rows of vanishing pivots zero: a column that the run says nothing
+/// about.
+Normal semidefinite_factor(const Normal& matrix) {
+  Normal factor = Normal::Zero();
+  for (int i = 0; i <= kUnknowns; ++i) {
+    const double pivot = matrix(i, i) - factor.col(i).head(i).squaredNorm();
+    if (!(pivot > 1e-14 * matrix(i, i))) continue;
+    const double root = std::sqrt(pivot);
+    for (int j = i; j <= kUnknowns; ++j)
+      factor(i, j) = (matrix(i, j) - factor.col(i).head(i).dot(factor.col(j).head(i))) / root;
+  }
+  return factor;
+}
+
+}  // namespace
+
+bool within_bounds(const ParameterVector& theta) {
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const double value = theta[static_cast<Eigen::Index>(i)];
+    if (!(value >= kParameterTable[i].lower && value <= kParameterTable[i].upper)) return false;
+  }
+  return true;
+}
+
+JointFit::JointFit(std::span<const Run> runs, const EstimatorOptions& options)
+    : runs_(runs),
+      options_(options),
+      free_(static_cast<int>(std::count(options.held.begin(), options.held.end(), false))),
+      weights_(runs.size()),
+      guesses_(runs.size(), Eigen::Vector2d::Zero()),
+      linear_(runs.size()),
+      normals_(runs.size()) {
+  for (std::size_t r = 0; r < runs.size(); ++r) linear_[r].resize(runs[r].size());
+  evaluated_.resize(NumParameters());
+  invalidate();
+}
+
+Eigen::VectorXd JointFit::start_from(const ParameterVector& theta) {
+  for (std::size_t r = 0; r < runs_.size(); ++r) guesses_[r] = initial_state_guess(runs_[r], theta);
+  invalidate();
+  return unknowns_of(theta, guesses_);
+}
+
+Eigen::VectorXd JointFit::unknowns_of(const ParameterVector& theta,
+                                      std::span<const Eigen::Vector2d> initial) const {
+  Eigen::VectorXd unknowns(NumParameters());
+  Eigen::Index next = 0;
+  for (int i = 0; i < kTheta; ++i) {
+    if (options_.held[static_cast<std::size_t>(i)]) continue;
+    const double normalised = theta[i] / kParameterTable[static_cast<std::size_t>(i)].nominal;
+    unknowns[next++] = is_logarithmic(i) ? std::log(normalised) : normalised;
+  }
+  for (const Eigen::Vector2d& state : initial) {
+    unknowns.segment<2>(next) = state;
+    next += 2;
+  }
+  return unknowns;
+}
+
+ParameterVector JointFit::theta_of(const Eigen::VectorXd& unknowns) const {
+  ParameterVector theta = options_.start.theta;
+  Eigen::Index next = 0;
+  for (int i = 0; i < kTheta; ++i) {
+    if (options_.held[static_cast<std::size_t>(i)]) continue;
+    const double value = unknowns[next++];
+    theta[i] =
+        (is_logarithmic(i) ? std::exp(value) : value) * kParameterTable[static_cast<std::size_t>(i)].nominal;
+  }
+  return theta;
+}
+
+Eigen::Vector2d JointFit::initial_of(const Eigen::VectorXd& unknowns, std::size_t run) const {
+  return unknowns.segment<2>(free_ + 2 * static_cast<Eigen::Index>(run));
+}
+
+void JointFit::use_output_errors(const Variances& variances) {
+  variances_ = variances;
+  innovations_ = false;
+  restore_output_error_gains();
+  invalidate();
+}
+
+void JointFit::restore_output_error_gains() {
+  for (std::size_t r = 0; r < runs_.size(); ++r) ignore_torque_noise(variances_, weights_[r], linear_[r]);
+}
+
+bool JointFit::use_innovations(const Eigen::VectorXd& unknowns, const Variances& variances) {
+  const BrakeParameters parameters{theta_of(unknowns), options_.start.fixed};
+  for (std::size_t r = 0; r < runs_.size(); ++r)
+    if (!extended_kalman_filter(runs_[r], parameters, initial_of(unknowns, r), variances, weights_[r],
+                                linear_[r]))
+      return false;
+  variances_ = variances;
+  use_present_gains();
+  return true;
+}
+
+void JointFit::use_present_gains() {
+  innovations_ = true;
+  invalidate();
+}
+
+double JointFit::update_weights() {
+  if (options_.loss == Loss::Squared) return 0.0;
+  double change = 0.0;
+  for (std::size_t r = 0; r < runs_.size(); ++r) {
+    ReadingWeights& weights = weights_[r];
+    weights.force.resize(runs_[r].size(), 1.0);
+    weights.velocity.resize(runs_[r].size(), 1.0);
+    for (std::size_t k = 0; k < runs_[r].size(); ++k) {
+      const LinearRow& row = linear_[r].rows[k];
+      // Weighed with the covariance that the innovation has if its readings count fully.
+      const Eigen::Matrix2d state = row.by_state * linear_[r].gains[k].covariance * row.by_state.transpose();
+      const double deviation[2] = {std::sqrt(variances_.force + state(0, 0)),
+                                   std::sqrt(variances_.velocity + state(1, 1))};
+      double* const weight[2] = {&weights.force[k], &weights.velocity[k]};
+      for (int i = 0; i < 2; ++i) {
+        const double now = std::min(1.0, kHuberBend * deviation[i] / std::abs(row.residual[i]));
+        change = std::max(change, std::abs(now - *weight[i]));
+        *weight[i] = now;
+      }
+    }
+  }
+  invalidate();
+  return change;
+}
+
+bool JointFit::evaluate(const Eigen::VectorXd& unknowns) const { return evaluate(unknowns.data()); }
+
+bool JointFit::evaluate(const double* unknowns) const {
+  const Eigen::Map<const Eigen::VectorXd> point(unknowns, NumParameters());
+  if (point == evaluated_) return possible_;
+  evaluated_ = point;
+  possible_ = false;
+  const BrakeParameters parameters{theta_of(evaluated_), options_.start.fixed};
+  if (!within_bounds(parameters.theta)) return false;
+  normalised_ = parameters.theta.cwiseQuotient(nominal_parameters());
+  for (std::size_t r = 0; r < runs_.size(); ++r) {
+    const Eigen::Vector2d initial = initial_of(evaluated_, r);
+    if (!(innovations_ ? linearise_with_gains(runs_[r], parameters, initial, linear_[r])
+                       : linearise(runs_[r], parameters, initial, linear_[r])))
+      return false;
+    normals_[r] = normal_equations(linear_[r]);
+    add_initial_state_prior(initial - guesses_[r], normals_[r]);
+  }
+  possible_ = true;
+  return true;
+}
+
+bool JointFit::operator()(const double* unknowns, double* residuals, double* jacobian) const {
+  Eigen::Map<Eigen::VectorXd> residual_rows(residuals, NumResiduals());
+  if (!evaluate(unknowns)) {
+    residual_rows.setConstant(std::sqrt(kImpossible / NumResiduals()));
+    if (jacobian != nullptr)
+      Eigen::Map<Eigen::MatrixXd>(jacobian, NumResiduals(), NumParameters()).setZero();
+    return true;
+  }
+  if (jacobian == nullptr) {
+    residual_rows.setZero();
+    residual_rows[0] = std::sqrt(squares());
+    return true;
+  }
+  Eigen::Map<Eigen::MatrixXd> jacobian_rows(jacobian, NumResiduals(), NumParameters());
+  jacobian_rows.setZero();
+  for (std::size_t r = 0; r < runs_.size(); ++r) {
+    Normal normal = normals_[r];
+    for (int i = 0; i < kTheta; ++i) {
+      if (!is_logarithmic(i)) continue;
+      normal.row(i) *= normalised_[i];
+      normal.col(i) *= normalised_[i];
+    }
+    const Normal factor = semidefinite_factor(normal);
+    const auto row = static_cast<Eigen::Index>(r) * (kUnknowns + 1);
+    Eigen::Index column = 0;
+    for (int i = 0; i < kTheta; ++i)
+      if (!options_.held[static_cast<std::size_t>(i)])
+        jacobian_rows.block<kUnknowns + 1, 1>(row, column++) = factor.col(i);
+    jacobian_rows.block<kUnknowns + 1, 2>(row, free_ + 2 * static_cast<Eigen::Index>(r)) =
+        factor.middleCols<2>(kTheta);
+    residual_rows.segment<kUnknowns + 1>(row) = factor.col(kDataColumn);
+  }
+  return true;
+}
+
+double JointFit::squares() const {
+  double sum = 0.0;
+  for (const Normal& normal : normals_) sum += normal(kDataColumn, kDataColumn);
+  return sum;
+}
+
+double JointFit::expected_decrease() const {
+  const JointNormal joint = joint_normal();
+  return squares() - joint.squares + joint.gradient.dot(joint.information.ldlt().solve(joint.gradient));
+}
+
+Eigen::Vector2d JointFit::mean_squares(std::size_t run) const {
+  const ReadingWeights& weights = weights_[run];
+  const auto& rows = linear_[run].rows;
+  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+  for (std::size_t k = 0; k < rows.size(); ++k) {
+    const Eigen::Vector2d square = rows[k].residual.cwiseAbs2();
+    sum[0] += weights.force.empty() ? square[0] : weights.force[k] * square[0];
+    sum[1] += weights.velocity.empty() ? square[1] : weights.velocity[k] * square[1];
+  }
+  sum /= static_cast<double>(rows.size());
+  return options_.loss == Loss::Robust ? Eigen::Vector2d(sum / kHuberSquare) : sum;
+}
+
+Eigen::Vector2d JointFit::mean_squares() const {
+  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+  double rows = 0.0;
+  for (std::size_t r = 0; r < runs_.size(); ++r) {
+    const auto size = static_cast<double>(runs_[r].size());
+    sum += size * mean_squares(r);
+    rows += size;
+  }
+  return sum / rows;
+}
+
+std::vector<Eigen::Vector2d> JointFit::prior_distances() const {
+  std::vector<Eigen::Vector2d> distances;
+  for (std::size_t r = 0; r < runs_.size(); ++r) distances.push_back(initial_of(evaluated_, r) - guesses_[r]);
+  return distances;
+}
+
+Descent Minimiser::operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations) {
+  Descent descent;
+  solver_.options.function_tolerance = kTolerance;
+  solver_.options.parameter_tolerance = 1e-9;
+  descent.possible = fit.evaluate(unknowns);
+  while (descent.possible && descent.iterations < max_iterations) {
+    const double before = fit.squares();
+    if (fit.expected_decrease() < kTolerance) {
+      descent.settled = true;
+      break;
+    }
+    solver_.options.max_num_iterations = 1 + std::min(kRoundIterations, max_iterations - descent.iterations);
+    solver_.Solve(fit, &unknowns);
+    descent.iterations += std::max(1, std::min(solver_.summary.iterations, kRoundIterations));
+    descent.possible = fit.evaluate(unknowns);
+    descent.settled = descent.possible && before - fit.squares() < kTolerance;
+    if (descent.settled) break;
+  }
+  return descent;
+}
+
+}  // namespace clampd::identify

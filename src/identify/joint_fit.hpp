@@ -1,0 +1,108 @@
+#pragma once
+
+#include <limits>
+#include <span>
+#include <vector>
+
+#include <ceres/tiny_solver.h>
+#include <Eigen/Core>
+
+#include "clampd/identify/estimate.hpp"
+#include "src/identify/joint_normal.hpp"
+
+namespace clampd::identify {
+
+/// The weighted residuals of all runs as a function of the unknowns, for ceres::TinySolver: open-loop, or the
+/// innovations of filters with gains that stay as they are. Each run's 2n residuals are compressed to the ten
+/// rows of the triangular factor of [J e]: the same cost, gradient and Gauss-Newton matrix, and the solver's
+/// work no longer grows with n.
+///
+/// Unknowns: the parameters that are not held, logarithmic where they cannot change sign (all but k1, which
+/// is normalised by (11)); then two a run for its initial state.
+class JointFit {
+ public:
+  using Scalar = double;
+  enum { NUM_RESIDUALS = Eigen::Dynamic, NUM_PARAMETERS = Eigen::Dynamic };
+
+  JointFit(std::span<const Run> runs, const EstimatorOptions& options);
+
+  int NumParameters() const { return free_ + 2 * static_cast<int>(runs_.size()); }
+  int NumResiduals() const { return (kUnknowns + 1) * static_cast<int>(runs_.size()); }
+  bool operator()(const double* unknowns, double* residuals, double* jacobian) const;
+
+  /// Unknowns at theta, each run at its guessed initial state; that guess is the centre of its weak prior.
+  Eigen::VectorXd start_from(const ParameterVector& theta);
+  Eigen::VectorXd unknowns_of(const ParameterVector& theta, std::span<const Eigen::Vector2d> initial) const;
+  ParameterVector theta_of(const Eigen::VectorXd& unknowns) const;
+  Eigen::Vector2d initial_of(const Eigen::VectorXd& unknowns, std::size_t run) const;
+
+  /// Open-loop from here on, readings weighted with R.
+  void use_output_errors(const Variances& variances);
+  /// After something else used the runs' gains; the last evaluation stays valid.
+  void restore_output_error_gains();
+  /// Innovations from here on, with the gains of extended Kalman filters at these unknowns. False, and nothing
+  /// changed for good, if a filter diverges there.
+  bool use_innovations(const Eigen::VectorXd& unknowns, const Variances& variances);
+  /// Innovations from here on, with the gains that the runs hold now.
+  void use_present_gains();
+
+  const Variances& variances() const { return variances_; }
+
+  /// Huber weights from the last evaluated point's residuals; the largest change of a weight.
+  double update_weights();
+
+  /// Linearises all runs; false where that is impossible. Remembers the last point: the solver asks for the
+  /// cost of a step first and for the derivatives when it has taken the step.
+  bool evaluate(const Eigen::VectorXd& unknowns) const;
+
+  /// Of the last evaluated point.
+  double squares() const;
+  /// By how much a Gauss-Newton step would lower squares().
+  double expected_decrease() const;
+  JointNormal joint_normal() const { return eliminate_initial_states(normals_, options_.held); }
+  const Normal& normal(std::size_t run) const { return normals_[run]; }
+  /// Mean squared residuals (force N^2, velocity rad^2/s^2), weighted if the loss is robust: (9), its diagonal.
+  Eigen::Vector2d mean_squares() const;
+  Eigen::Vector2d mean_squares(std::size_t run) const;
+  /// How far each run's initial state is from the centre of its prior.
+  std::vector<Eigen::Vector2d> prior_distances() const;
+  std::span<LinearRun> linear_runs() { return linear_; }
+  std::span<const LinearRun> linear_runs() const { return linear_; }
+  std::span<const ReadingWeights> weights() const { return weights_; }
+
+ private:
+  bool evaluate(const double* unknowns) const;
+  void invalidate() { evaluated_.setConstant(std::numeric_limits<double>::quiet_NaN()); }
+
+  std::span<const Run> runs_;
+  const EstimatorOptions& options_;
+  int free_ = 0;
+  Variances variances_;
+  std::vector<ReadingWeights> weights_;
+  std::vector<Eigen::Vector2d> guesses_;
+  bool innovations_ = false;
+  mutable std::vector<LinearRun> linear_;
+  mutable std::vector<Normal> normals_;
+  mutable Eigen::VectorXd evaluated_;
+  mutable ParameterVector normalised_;
+  mutable bool possible_ = false;
+};
+
+bool within_bounds(const ParameterVector& theta);
+
+struct Descent {
+  bool possible = false;  ///< the fit can be evaluated at the unknowns reached
+  bool settled = false;   ///< nothing more to gain
+  int iterations = 0;
+};
+
+/// Minimises the fit from `unknowns` by ceres::TinySolver.
+class Minimiser {
+ public:
+  Descent operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations);
+
+ private:
+  ceres::TinySolver<JointFit> solver_;
+};
+
+}  // namespace clampd::identify

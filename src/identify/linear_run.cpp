@@ -1,0 +1,207 @@
+#include "src/identify/linear_run.hpp"
+
+#include <cmath>
+
+#include "clampd/base/assert.hpp"
+
+namespace clampd::identify {
+
+namespace {
+
+using Columns = Eigen::Matrix<double, 2, kUnknowns + 1>;
+
+/// R of a row.
+Eigen::Matrix2d reading_covariance(const Variances& variances, const ReadingWeights& weights, std::size_t k) {
+  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();
+  covariance(0, 0) = variances.force / (weights.force.empty() ? 1.0 : weights.force[k]);
+  covariance(1, 1) = variances.velocity / (weights.velocity.empty() ? 1.0 : weights.velocity[k]);
+  return covariance;
+}
+
+/// Gain and weight of a row with P(k|k-1) = gain.covariance; P(k|k) and log det S come back.
+Eigen::Matrix2d correct(const Eigen::Matrix2d& by_state, const Eigen::Matrix2d& reading, RowGain& gain,
+                        double& log_determinant) {
+  const Eigen::Matrix2d cross = gain.covariance * by_state.transpose();
+  Eigen::Matrix2d innovation = by_state * cross + reading;
+  const double determinant = innovation(0, 0) * innovation(1, 1) - innovation(0, 1) * innovation(1, 0);
+  gain.weight << innovation(1, 1), -innovation(0, 1), -innovation(1, 0), innovation(0, 0);
+  gain.weight /= determinant;
+  gain.gain = cross * gain.weight;
+  log_determinant += std::log(determinant);
+  const Eigen::Matrix2d filtered = gain.covariance - gain.gain * cross.transpose();
+  return 0.5 * (filtered + filtered.transpose());
+}
+
+Eigen::Matrix2d propagate(const LinearRow& row, const Eigen::Matrix2d& filtered, double torque_variance) {
+  return row.transition * filtered * row.transition.transpose() + torque_variance * row.torque_covariance;
+}
+
+/// Walks the run row by row; `correction(k, row)` says how the reference changes after row k's reading, and
+/// `advanced(k, row)` sees the finished row.
+template <class Correction, class Advanced>
+bool walk(const Run& run, const BrakeParameters& parameters, const BrakeState& initial, LinearRun& out,
+          const Correction& correction, const Advanced& advanced) {
+  CLAMPD_ASSERT(out.rows.size() == run.size());
+  const PaperBrake model = paper_brake(parameters);
+  const ParameterVector scale = nominal_parameters();
+  Eigen::Matrix<double, 2, kTheta> by_parameter;
+  LinearStep<kTheta> step;
+  BrakeState state = initial;
+  const std::size_t size = run.size();
+  for (std::size_t k = 0; k < size; ++k) {
+    if (!is_bounded(state)) return false;
+    LinearRow& row = out.rows[k];
+    out.reference[k] = state;
+    const Reading reading = model.read(state);
+    row.residual << run.force_N[k] - reading.force_N, run.velocity_rad_s[k] - reading.velocity_rad_s;
+    model.linearise_readings(state, row.by_state, by_parameter);
+    row.by_parameter = by_parameter * scale.asDiagonal();
+    row.correction = correction(k, row);
+    if (k + 1 == size) {
+      row.transition.setZero();
+      row.step_by_parameter.setZero();
+      row.torque_covariance.setZero();
+      break;
+    }
+    state += row.correction;
+    if (!is_bounded(state)) return false;
+    const double gap_s = run.time_s[k + 1] - run.time_s[k];
+    const int steps = steps_in(gap_s);
+    CLAMPD_ASSERT(steps > 0);
+    state = linearise_step(model, state, run.torque_Nm[k], gap_s / steps, step);
+    row.transition = step.transition;
+    row.step_by_parameter = step.by_parameter;
+    row.torque_covariance = step.by_torque * step.by_torque.transpose();
+    for (int i = 1; i < steps && is_bounded(state); ++i) {
+      state = linearise_step(model, state, run.torque_Nm[k], gap_s / steps, step);
+      row.step_by_parameter = (step.transition * row.step_by_parameter + step.by_parameter).eval();
+      row.torque_covariance = (step.transition * row.torque_covariance * step.transition.transpose() +
+                               step.by_torque * step.by_torque.transpose())
+                                  .eval();
+      row.transition = (step.transition * row.transition).eval();
+    }
+    row.step_by_parameter = row.step_by_parameter * scale.asDiagonal();
+    advanced(k, row);
+  }
+  return true;
+}
+
+constexpr auto kNothing = [](std::size_t, const LinearRow&) {};
+
+}  // namespace
+
+Variances variances_of(const NoiseLevels& noise) noexcept {
+  return {noise.sensors.force_N * noise.sensors.force_N,
+          noise.sensors.velocity_rad_s * noise.sensors.velocity_rad_s, noise.torque_Nm * noise.torque_Nm};
+}
+
+void LinearRun::resize(std::size_t size) {
+  rows.resize(size);
+  gains.resize(size);
+  reference.resize(size);
+}
+
+bool linearise(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+               LinearRun& out) noexcept {
+  return walk(
+      run, parameters, initial, out,
+      [](std::size_t, const LinearRow&) { return Eigen::Vector2d(Eigen::Vector2d::Zero()); }, kNothing);
+}
+
+bool linearise_with_gains(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+                          LinearRun& out) noexcept {
+  return walk(
+      run, parameters, initial, out,
+      [&](std::size_t k, const LinearRow& row) {
+        return Eigen::Vector2d(out.gains[k].gain * row.residual);
+      },
+      kNothing);
+}
+
+bool extended_kalman_filter(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+                            const Variances& variances, const ReadingWeights& weights,
+                            LinearRun& out) noexcept {
+  Eigen::Matrix2d predicted = Eigen::Matrix2d::Zero();
+  Eigen::Matrix2d filtered;
+  out.log_determinant = 0.0;
+  return walk(
+      run, parameters, initial, out,
+      [&](std::size_t k, const LinearRow& row) {
+        out.gains[k].covariance = predicted;
+        filtered = correct(row.by_state, reading_covariance(variances, weights, k), out.gains[k],
+                           out.log_determinant);
+        return Eigen::Vector2d(out.gains[k].gain * row.residual);
+      },
+      [&](std::size_t, const LinearRow& row) { predicted = propagate(row, filtered, variances.torque); });
+}
+
+void update_gains(const Variances& variances, const ReadingWeights& weights, LinearRun& run) noexcept {
+  Eigen::Matrix2d predicted = Eigen::Matrix2d::Zero();
+  run.log_determinant = 0.0;
+  for (std::size_t k = 0; k < run.rows.size(); ++k) {
+    const LinearRow& row = run.rows[k];
+    run.gains[k].covariance = predicted;
+    const Eigen::Matrix2d filtered =
+        correct(row.by_state, reading_covariance(variances, weights, k), run.gains[k], run.log_determinant);
+    predicted = propagate(row, filtered, variances.torque);
+  }
+}
+
+void ignore_torque_noise(const Variances& variances, const ReadingWeights& weights, LinearRun& run) noexcept {
+  for (std::size_t k = 0; k < run.rows.size(); ++k) {
+    run.gains[k].covariance.setZero();
+    run.gains[k].gain.setZero();
+    run.gains[k].weight = reading_covariance(variances, weights, k).diagonal().cwiseInverse().asDiagonal();
+  }
+}
+
+Normal normal_equations(const LinearRun& run) noexcept {
+  Normal normal = Normal::Zero();
+  // Derivatives of the state's distance from the reference by the unknowns; last column: that distance itself.
+  Columns distance = Columns::Zero();
+  distance(0, kInitialPositionColumn) = distance(1, kInitialVelocityColumn) = 1.0;
+  for (std::size_t k = 0; k < run.rows.size(); ++k) {
+    const LinearRow& row = run.rows[k];
+    const RowGain& gain = run.gains[k];
+    Columns innovation = -row.by_state * distance;
+    innovation.leftCols<kTheta>() -= row.by_parameter;
+    innovation.col(kDataColumn) += row.residual;
+    const Columns weighted = gain.weight * innovation;
+    normal.noalias() += innovation.transpose().lazyProduct(weighted);
+    distance += gain.gain * innovation;
+    distance.col(kDataColumn) -= row.correction;
+    distance = (row.transition * distance).eval();
+    distance.leftCols<kTheta>() += row.step_by_parameter;
+  }
+  return normal;
+}
+
+Eigen::Matrix3d variance_information(const Variances& variances, const ReadingWeights& weights,
+                                     const LinearRun& run) noexcept {
+  Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
+  Eigen::Matrix2d predicted[3] = {Eigen::Matrix2d::Zero(), Eigen::Matrix2d::Zero(), Eigen::Matrix2d::Zero()};
+  for (std::size_t k = 0; k < run.rows.size(); ++k) {
+    const LinearRow& row = run.rows[k];
+    const RowGain& gain = run.gains[k];
+    const Eigen::Matrix2d reading = reading_covariance(variances, weights, k);
+    const Eigen::Matrix2d remaining = Eigen::Matrix2d::Identity() - gain.gain * row.by_state;
+    Eigen::Matrix2d scaled[3];  // S^-1 dS
+    for (int i = 0; i < 3; ++i) {
+      Eigen::Matrix2d of_reading = Eigen::Matrix2d::Zero();
+      if (i == 0) of_reading(0, 0) = reading(0, 0) / variances.force;
+      if (i == 1) of_reading(1, 1) = reading(1, 1) / variances.velocity;
+      scaled[i] = gain.weight * (row.by_state * predicted[i] * row.by_state.transpose() + of_reading);
+      const Eigen::Matrix2d filtered = remaining * predicted[i] * remaining.transpose() +
+                                       gain.gain * of_reading * gain.gain.transpose();
+      predicted[i] = row.transition * filtered * row.transition.transpose();
+    }
+    predicted[2] += row.torque_covariance;
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j <= i; ++j)
+        information(i, j) += 0.5 * (scaled[i].array() * scaled[j].transpose().array()).sum();
+  }
+  information.triangularView<Eigen::StrictlyUpper>() = information.transpose();
+  return information;
+}
+
+}  // namespace clampd::identify

@@ -1,0 +1,92 @@
+#pragma once
+
+#include <vector>
+
+#include "clampd/brake/simulation.hpp"
+#include "clampd/identify/information.hpp"
+#include "clampd/record/run.hpp"
+
+namespace clampd::identify {
+
+inline constexpr int kTheta = static_cast<int>(kParameterCount);
+
+/// The unknowns of one run: seven normalised parameters, initial position (rad) and velocity (rad/s). A
+/// further column holds the data.
+inline constexpr int kUnknowns = kSensitivityColumns;
+inline constexpr int kDataColumn = kUnknowns;
+
+/// [J e]^T W [J e], J the derivatives of the innovations e by the unknowns, W their weights.
+using Normal = Eigen::Matrix<double, kUnknowns + 1, kUnknowns + 1>;
+
+/// One row of a run, linearised about a reference trajectory. With d(k) the state's distance from the
+/// reference before the row's reading is used:
+///   innovation:   residual - by_state d(k) - by_parameter dp
+///   next row:     d(k + 1) = transition (d(k) - correction) + step_by_parameter dp + torque noise
+struct LinearRow {
+  Eigen::Vector2d residual;  ///< reading minus the model's at the reference: force (N), velocity (rad/s)
+  Eigen::Matrix2d by_state;  ///< C of (19)
+  Eigen::Matrix<double, 2, kTheta> by_parameter;
+  Eigen::Vector2d correction;  ///< of the reference by this row's reading
+  Eigen::Matrix2d transition;  ///< A of (19)
+  Eigen::Matrix<double, 2, kTheta> step_by_parameter;
+  Eigen::Matrix2d torque_covariance;  ///< of the next row's state, by torque noise of unit variance
+};
+
+/// Variances of the noise: of a force reading and of a velocity reading with weight one, of the torque.
+struct Variances {
+  double force = 1.0;
+  double velocity = 1.0;
+  double torque = 0.0;
+};
+Variances variances_of(const NoiseLevels& noise) noexcept;
+
+/// What a reading counts: its noise has the variance divided by its weight. Empty: one each.
+struct ReadingWeights {
+  std::vector<double> force;
+  std::vector<double> velocity;
+};
+
+struct RowGain {
+  Eigen::Matrix2d gain;         ///< K of (16)
+  Eigen::Matrix2d weight;       ///< inverse of S of (17)
+  Eigen::Matrix2d covariance;   ///< P(k|k-1)
+};
+
+/// A run linearised, and the filter that goes with it. Sized once, used many times.
+struct LinearRun {
+  void resize(std::size_t size);
+
+  std::vector<LinearRow> rows;
+  std::vector<RowGain> gains;
+  std::vector<Eigen::Vector2d> reference;  ///< state at each row, before its reading is used
+  double log_determinant = 0.0;            ///< sum of log det S
+};
+
+/// Linearises about the run's open-loop simulation. False where that leaves all bounds.
+bool linearise(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+               LinearRun& out) noexcept;
+
+/// Linearises about the estimates of the filter with out.gains as they are.
+bool linearise_with_gains(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+                          LinearRun& out) noexcept;
+
+/// The extended Kalman filter (15)-(19) with x(1|1) = initial known: linearises about its estimates, and
+/// writes its gains.
+bool extended_kalman_filter(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+                            const Variances& variances, const ReadingWeights& weights,
+                            LinearRun& out) noexcept;
+
+/// Rows fixed, gains and log determinant anew for these variances.
+void update_gains(const Variances& variances, const ReadingWeights& weights, LinearRun& run) noexcept;
+
+/// Gains zero and S = R: the output error method's view.
+void ignore_torque_noise(const Variances& variances, const ReadingWeights& weights, LinearRun& run) noexcept;
+
+/// The innovations' normal equations under the run's gains.
+Normal normal_equations(const LinearRun& run) noexcept;
+
+/// Expected information on (force variance, velocity variance, torque variance) for the run's gains.
+Eigen::Matrix3d variance_information(const Variances& variances, const ReadingWeights& weights,
+                                     const LinearRun& run) noexcept;
+
+}  // namespace clampd::identify

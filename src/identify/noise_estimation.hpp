@@ -1,0 +1,39 @@
+#pragma once
+
+#include <span>
+
+#include "src/identify/joint_fit.hpp"
+
+namespace clampd::identify {
+
+/// Which variances are known and stay.
+struct KnownVariances {
+  bool force = false;
+  bool velocity = false;
+  bool torque = false;
+};
+
+struct NoiseFit {
+  Variances variances;
+  double criterion = 0.0;  ///< minus the restricted log-likelihood, less a constant
+  int iterations = 0;
+};
+
+/// Restricted maximum likelihood for the variances of the noise, for runs linearised about some trajectory:
+/// parameters and initial states are integrated out, so that what they absorb is not taken for small noise
+/// (plain maximum likelihood lets the torque's noise collapse to zero). Fisher scoring from `start`. The runs'
+/// gains end as those of the result.
+NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeights> weights,
+                        std::span<const Eigen::Vector2d> prior_distances, const Held& held,
+                        const Variances& start, const KnownVariances& known, int max_iterations);
+
+/// Minus the restricted log-likelihood; leaves the gains for these variances in the runs.
+double restricted_likelihood(std::span<LinearRun> runs, std::span<const ReadingWeights> weights,
+                             std::span<const Eigen::Vector2d> prior_distances, const Held& held,
+                             const Variances& variances, std::vector<Normal>& normals);
+
+/// The noise of readings and torque at the fit's last evaluated point, what the options do not know; the fit
+/// keeps its weights.
+Variances noise_of_output_errors(JointFit& fit, const EstimatorOptions& options);
+
+}  // namespace clampd::identify

@@ -1,0 +1,120 @@
+#include "src/identify/output_error_search.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "src/identify/starting_point.hpp"
+
+namespace clampd::identify {
+
+namespace {
+
+/// R is re-estimated after each descent, until it changes by less than this share: that moves the parameters
+/// by less than a hundredth of their standard deviation.
+constexpr double kNoiseTolerance = 0.02;
+constexpr double kWeightTolerance = 0.02;
+
+/// More attempts from other starts follow if a fit's residuals exceed the noise seen without a model this
+/// often.
+constexpr double kPoorFit = 1.25;
+
+/// Two fits whose negative log-likelihoods per row differ by less are in the same minimum.
+constexpr double kSameMinimum = 1e-5;
+
+}  // namespace
+
+OutputErrorSearch::OutputErrorSearch(std::span<const Run> runs, const EstimatorOptions& options)
+    : runs_(runs), options_(options), fit_(runs, options) {
+  const SensorNoise seen = noise_without_model(runs);
+  seen_ = variances_of({seen, 0.0});
+}
+
+Variances OutputErrorSearch::known_or(const Eigen::Vector2d& mean_squares) const {
+  const double force = options_.noise_force_N.value_or(kSmallestNoise.force_N);
+  const double velocity = options_.noise_velocity_rad_s.value_or(kSmallestNoise.velocity_rad_s);
+  return {options_.noise_force_N ? force * force : std::max(mean_squares[0], force * force),
+          options_.noise_velocity_rad_s ? velocity * velocity : std::max(mean_squares[1], velocity * velocity),
+          0.0};
+}
+
+OutputErrorAttempt OutputErrorSearch::attempt(const ParameterVector& theta) {
+  OutputErrorAttempt result;
+  result.unknowns = fit_.start_from(theta);
+  result.weights = known_or({seen_.force, seen_.velocity});
+  for (int used = 0; used < options_.max_iterations;) {
+    fit_.use_output_errors(result.weights);
+    const Descent descent = minimise_(fit_, result.unknowns, options_.max_iterations - used);
+    iterations_ += descent.iterations;
+    if (!descent.possible) return result;
+    used += std::max(1, descent.iterations);
+    const Variances before = result.weights;
+    result.weights = known_or(fit_.mean_squares());
+    const double reweighted = fit_.update_weights();
+    const double change = std::max(std::abs(result.weights.force / before.force - 1.0),
+                                   std::abs(result.weights.velocity / before.velocity - 1.0));
+    result.settled = descent.settled && change < kNoiseTolerance && reweighted < kWeightTolerance;
+    if (result.settled) break;
+  }
+  const Eigen::Vector2d squares = fit_.mean_squares();
+  result.score = 0.5 * (squares[0] / result.weights.force + squares[1] / result.weights.velocity +
+                        std::log(result.weights.force) + std::log(result.weights.velocity));
+  return result;
+}
+
+JointFit& OutputErrorSearch::fit_at(const OutputErrorAttempt& attempt) {
+  fit_.use_output_errors(attempt.weights);
+  fit_.evaluate(attempt.unknowns);
+  return fit_;
+}
+
+bool OutputErrorSearch::poor(const OutputErrorAttempt& attempt) {
+  if (!attempt.settled) return true;
+  const Eigen::Vector2d squares = fit_at(attempt).mean_squares();
+  return squares[0] > kPoorFit * kPoorFit * seen_.force ||
+         squares[1] > kPoorFit * kPoorFit * seen_.velocity;
+}
+
+OutputErrorAttempt OutputErrorSearch::best() {
+  const ParameterVector& given = options_.start.theta;
+  OutputErrorAttempt kept = attempt(given);
+  if (!poor(kept)) return kept;
+  const double first_score = kept.score;
+  double last_score = first_score;
+  const auto consider = [&](ParameterVector theta) {
+    for (int i = 0; i < kTheta; ++i)
+      if (options_.held[static_cast<std::size_t>(i)]) theta[i] = given[i];
+    if (!within_bounds(theta)) return;
+    OutputErrorAttempt other = attempt(theta);
+    last_score = other.score;
+    if (other.score < kept.score) kept = std::move(other);
+  };
+  consider(equation_error_start(runs_, options_.start,
+                                {std::sqrt(seen_.force), std::sqrt(seen_.velocity)}));
+  // Torque noise makes the residuals of the right parameters larger than the sensors' noise too; that unlike
+  // starts end alike tells this from a wrong minimum. Whether the brake stuck at some instant is what minima
+  // differ in most, and both starts may have it wrong: so also from less and from more static friction than
+  // found.
+  if (kept.settled && std::abs(last_score - first_score) < kSameMinimum) {
+    const double score = kept.score;
+    const ParameterVector found = fit_.theta_of(kept.unknowns);
+    for (const double factor : {0.75, 1.35}) {
+      ParameterVector theta = found;
+      theta[Ts0] *= factor;
+      consider(theta);
+    }
+    if (score - kept.score < kSameMinimum) return kept;
+  }
+  consider(nominal_parameters());
+  constexpr double kFactors[4][kParameterCount] = {{1.5, 0.7, 1.5, 0.7, 1.5, 0.7, 1.5},
+                                                   {0.7, 1.3, 0.6, 1.5, 0.7, 1.3, 0.6},
+                                                   {0.7, 0.7, 1.5, 1.5, 0.6, 0.8, 1.4},
+                                                   {1.3, 1.3, 0.6, 0.6, 1.5, 1.2, 0.6}};
+  for (const auto& factors : kFactors) {
+    ParameterVector theta = given;
+    for (int i = 0; i < kTheta; ++i) theta[i] *= factors[i];
+    consider(theta);
+  }
+  return kept;
+}
+
+}  // namespace clampd::identify

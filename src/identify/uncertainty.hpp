@@ -1,0 +1,19 @@
+#pragma once
+
+#include "src/identify/joint_fit.hpp"
+
+namespace clampd::identify {
+
+struct Uncertainty {
+  ParameterMatrix information;              ///< under the weights of the fit
+  ParameterMatrix covariance;               ///< under `variances`
+  ParameterMatrix covariance_exact_torque;  ///< the same without torque noise
+  ParameterMatrix covariance_over_runs;     ///< from the scatter of the runs' scores
+  OffsetSensitivity offset_sensitivity;
+};
+
+/// Of the estimate at the fit's last evaluated point, whose readings and torque have noise of these
+/// variances, whatever weights the fit used. Rows and columns of held parameters are zero.
+Uncertainty uncertainty_of(const JointFit& fit, const Variances& variances, const Held& held);
+
+}  // namespace clampd::identify
