@@ -32,6 +32,11 @@ constexpr std::array kSinusoid = {
     ManoeuvreSegment{.duration_s = 1.0, .force_N = 20e3, .cycles = 4},
     ManoeuvreSegment{.duration_s = 0.2},
 };
+constexpr std::array kSlowSinusoid = {
+    ManoeuvreSegment{.duration_s = 0.15, .force_N = 5e3},
+    ManoeuvreSegment{.duration_s = 2.0, .force_N = 20e3, .cycles = 3},
+    ManoeuvreSegment{.duration_s = 0.2},
+};
 constexpr std::array kStaircase = {
     ManoeuvreSegment{.duration_s = 0.15, .force_N = 5e3},
     ManoeuvreSegment{.duration_s = 0.06, .force_N = 5e3},
@@ -58,11 +63,12 @@ constexpr std::array kClearance = {
     ManoeuvreSegment{.duration_s = 0.40, .opening_rad = 0.5},
 };
 
-constexpr std::array<ManoeuvreInfo, 6> kManoeuvres = {{
+constexpr std::array<ManoeuvreInfo, 7> kManoeuvres = {{
     {"optimal", "the shipped optimal trajectory", {}},
     {"step", "to 20 kN in 0.24 s, hold", kStep},
     {"apply-release", "to 20 kN, hold, and back, in 0.8 s", kApplyRelease},
     {"sinusoid", "1 s at 4 Hz between 5 and 20 kN", kSinusoid},
+    {"slow-sinusoid", "2 s at 1.5 Hz between 5 and 20 kN", kSlowSinusoid},
     {"staircase", "up to 20 kN and down again in steps of 5 kN", kStaircase},
     {"clearance", "both directions at several speeds without force", kClearance},
 }};

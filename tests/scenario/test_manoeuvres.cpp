@@ -43,6 +43,12 @@ TEST(Manoeuvres, DoWhatTheirDescriptionsSay) {
   EXPECT_NEAR(highest(sinusoid), 20e3, 50.0);
   EXPECT_NEAR(lowest_N, 5e3, 50.0);
 
+  const clampd::Run slow_sinusoid = make("slow-sinusoid");
+  EXPECT_NEAR(highest(slow_sinusoid), 20e3, 50.0);
+  EXPECT_NEAR(slow_sinusoid.time_s.back(), 2.35, 1e-9);
+  EXPECT_NEAR(slow_sinusoid.force_N[150 + 667], 5e3, 50.0) << "after one cycle of 1.5 Hz";
+  EXPECT_NEAR(slow_sinusoid.force_N[150 + 1000], 20e3, 50.0) << "half a cycle later";
+
   const clampd::Run clearance = make("clearance");
   EXPECT_EQ(highest(clearance), 0.0);
   EXPECT_LT(*std::min_element(clearance.velocity_rad_s.begin(), clearance.velocity_rad_s.end()), -40.0);
