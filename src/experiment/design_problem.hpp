@@ -8,10 +8,10 @@
 
 #include <Eigen/Core>
 
-#include "clampd/brake/sensitivity.hpp"
 #include "clampd/experiment/certification.hpp"
 #include "clampd/experiment/criterion.hpp"
 #include "clampd/experiment/optimal_design.hpp"
+#include "sensitivity_sweep.hpp"
 
 namespace clampd {
 
@@ -19,15 +19,17 @@ namespace clampd {
 /// object per thread: evaluations reuse its buffers.
 ///
 /// Constraints, each c <= 0, per block the largest force and the largest speed among its samples, relative to
-/// their limits; then the logarithm of the amplification; then the speed at the end if that is limited. That
-/// keeps the programme small: a block moves its extremes as a whole.
+/// their limits; then the logarithm of the amplification if that is limited; then the speed at the end if
+/// that is. That keeps the programme small: a block moves its extremes as a whole.
 class DesignProblem {
  public:
   /// `tightening`: share by which the limits on force and speed are undercut.
   DesignProblem(const DesignOptions& options, double tightening);
 
   std::size_t blocks() const { return blocks_; }
-  std::size_t constraints() const { return 2 * blocks_ + 1 + (end_limited_ ? 1 : 0); }
+  std::size_t constraints() const {
+    return 2 * blocks_ + (amplification_limited_ ? 1 : 0) + (end_limited_ ? 1 : 0);
+  }
 
   /// Objective and constraints at `x`; repeated calls for the same point cost nothing.
   void evaluate(std::span<const double> x);
@@ -47,28 +49,14 @@ class DesignProblem {
   /// Replaces x from block `from` on by random torques that, where possible, keep the limits.
   void random_tail(std::mt19937_64& random, std::size_t from, std::span<double> x);
 
-  double simulations() const { return simulated_rows_ / static_cast<double>(samples_); }
+  /// Runs simulated, gradients not counted.
+  std::int64_t simulations() const { return simulations_; }
 
  private:
-  using T = Tangent<PaperBrake::kParameters>;
-  using Rows = Eigen::Matrix<double, Eigen::Dynamic, static_cast<int>(kParameterCount), Eigen::RowMajor>;
-  struct Node {
-    BrakeState state;
-    T tangent;
-  };
-  struct Trace {
-    std::vector<double> force_N;
-    std::vector<double> speed_rad_s;
-    std::vector<double> amplification;  ///< change of velocity per torque error, rad/s per N m
-    Rows sensitivity;                   ///< 2n x 7: of force and velocity in turn, over their noise
-  };
-
-  /// Rows after `from`'s first sample up to the end. False if the run leaves the model's range.
-  bool simulate_from(std::size_t from, std::span<const double> x, Trace& trace, bool keep_nodes);
-  void record(const Node& node, std::size_t row, Trace& trace) const;
   Eigen::Index amplification_row() const { return static_cast<Eigen::Index>(2 * blocks_); }
-  Eigen::Index end_row() const { return amplification_row() + 1; }
+  Eigen::Index end_row() const { return amplification_row() + (amplification_limited_ ? 1 : 0); }
   bool keeps_limits(BrakeState& state, double torque_Nm) const;
+  void differentiate_constraints();
 
   PaperBrake model_;
   BrakeState initial_;
@@ -76,6 +64,7 @@ class DesignProblem {
   std::size_t block_samples_;
   std::size_t blocks_;
   Objective kind_;
+  bool amplification_limited_;
   bool end_limited_;
   double torque_limit_Nm_;
   double force_limit_N_;
@@ -84,27 +73,23 @@ class DesignProblem {
   double amplification_limit_;
   double ratio_m_rad_;
   double inertia_kg_m2_;
-  Eigen::Array<double, 1, static_cast<int>(kParameterCount)> force_scale_;
-  Eigen::Array<double, 1, static_cast<int>(kParameterCount)> velocity_scale_;
 
   std::vector<double> point_;
   bool evaluated_ = false;
   bool differentiated_ = false;
-  Trace trace_;
-  Trace moved_;
-  Rows weights_;
-  std::vector<Node> nodes_;  ///< at the first sample of each block
+  SensitivitySweep sweep_;
+  std::vector<double> block_torque_Nm_;
   std::vector<std::size_t> force_peak_;
   std::vector<std::size_t> speed_peak_;
   std::size_t amplification_peak_ = 0;
-  std::vector<double> moved_point_;
+  SensitivitySweep::Rows weights_;
   ParameterMatrix information_;
   ParameterMatrix slope_;
   double objective_ = 0.0;
   Eigen::VectorXd constraint_;
   Eigen::VectorXd objective_gradient_;
   Eigen::MatrixXd constraint_gradient_;
-  double simulated_rows_ = 0.0;
+  std::int64_t simulations_ = 0;
 };
 
 }  // namespace clampd

@@ -115,7 +115,7 @@ class Search {
   void run();
   /// All feasible designs found, the best one first.
   const std::vector<Candidate>& feasible() const { return feasible_; }
-  double simulations() const;
+  std::int64_t simulations() const;
 
  private:
   Candidate explore(DesignProblem& problem, std::mt19937_64& random) const;
@@ -141,8 +141,8 @@ Search::Search(const DesignOptions& options)
   for (unsigned i = 0; i < std::min(threads, 64U); ++i) problems_.emplace_back(options, kTightening);
 }
 
-double Search::simulations() const {
-  double sum = 0.0;
+std::int64_t Search::simulations() const {
+  std::int64_t sum = 0;
   for (const DesignProblem& problem : problems_) sum += problem.simulations();
   return sum;
 }
@@ -368,7 +368,7 @@ DesignSummary design_experiment(const DesignOptions& options) {
   DesignSummary summary;
   Search search(options);
   search.run();
-  summary.simulations = static_cast<std::int64_t>(search.simulations());
+  summary.simulations = search.simulations();
   if (search.feasible().empty()) {
     summary.termination = DesignTermination::NothingFeasible;
     summary.message =
