@@ -56,9 +56,9 @@ int point_type(Marker marker) {
     case Marker::Ring:
       return 6;
     case Marker::Square:
-      return 4;
+      return 5;
     case Marker::Triangle:
-      return 8;
+      return 9;
     case Marker::Cross:
       return 2;
   }
@@ -152,7 +152,7 @@ std::string script_of(const Figure& figure) {
       "set border 3 lc rgb '#555555'\n"
       "set tics nomirror textcolor rgb '#222222'\n"
       "set grid lc rgb '#dddddd' lw 0.7 dt solid\n"
-      "set key tmargin horizontal Left reverse samplen 2.5 noautotitle\n"
+      "set key tmargin center horizontal Left reverse samplen 2.5 noautotitle\n"
       "set lmargin 10\nset rmargin 2\n"
       "set multiplot layout {},{}\n",
       figure.width_px, rows * figure.panel_height_px, kFontSize_px, rows, figure.columns);

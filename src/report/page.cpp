@@ -34,8 +34,10 @@ caption { text-align: left; color: var(--soft); padding-bottom: .35rem; }
 th, td { padding: .3rem .75rem .3rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line);
   font-weight: normal; }
 thead th { font-weight: 600; vertical-align: bottom; }
+tbody th { white-space: nowrap; }
+thead .number { white-space: normal; }
 .number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-.good, .mixed, .bad { font-weight: 600; }
+.good, .mixed, .bad { font-weight: 600; white-space: nowrap; }
 .good { color: var(--good); } .mixed { color: var(--mixed); } .bad { color: var(--bad); }
 figure { margin: 1.2rem 0; padding: .6rem; background: #fff; color: #1d1f21; border: 1px solid var(--line);
   border-radius: 6px; }
