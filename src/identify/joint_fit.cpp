@@ -15,12 +15,15 @@ namespace {
 /// Stands for the cost where the model cannot be simulated, so that the solver steps back.
 constexpr double kImpossible = 1e30;
 
-/// Decrease of the weighted squares at which a fit ends: a last step of 0.03 standard deviations. The cost has
+/// Decrease of the weighted squares at which a fit ends: a last step of 0.1 standard deviations. The cost has
 /// faint kinks, where a stop crosses a sample, that make a finer search bounce.
-constexpr double kTolerance = 1e-3;
+constexpr double kTolerance = 1e-2;
 
-/// Between two looks at whether anything is left to gain: at a kink the solver would bounce to its limit.
-constexpr int kRoundIterations = 4;
+/// From this expected decrease on a step that fails to bring it is an end too: a kink.
+constexpr double kNearTheEnd = 0.3;
+
+/// Iterations in one go, far from the end; near it one at a time, to look whether anything is left to gain.
+constexpr int kRoundIterations = 8;
 
 /// Huber's bend, in standard deviations, and the mean of the weighted square of a standard normal with it.
 constexpr double kHuberBend = 2.5;
@@ -104,10 +107,21 @@ Eigen::Vector2d JointFit::initial_of(const Eigen::VectorXd& unknowns, std::size_
 }
 
 void JointFit::use_output_errors(const Variances& variances) {
+  const bool rows_hold = !innovations_ && possible_;
   variances_ = variances;
   innovations_ = false;
   restore_output_error_gains();
-  invalidate();
+  if (rows_hold)
+    weigh();
+  else
+    invalidate();
+}
+
+void JointFit::weigh() const {
+  for (std::size_t r = 0; r < runs_.size(); ++r) {
+    normals_[r] = normal_equations(linear_[r]);
+    add_initial_state_prior(initial_of(evaluated_, r) - guesses_[r], normals_[r]);
+  }
 }
 
 void JointFit::restore_output_error_gains() {
@@ -151,7 +165,6 @@ double JointFit::update_weights() {
       }
     }
   }
-  invalidate();
   return change;
 }
 
@@ -170,9 +183,8 @@ bool JointFit::evaluate(const double* unknowns) const {
     if (!(innovations_ ? linearise_with_gains(runs_[r], parameters, initial, linear_[r])
                        : linearise(runs_[r], parameters, initial, linear_[r])))
       return false;
-    normals_[r] = normal_equations(linear_[r]);
-    add_initial_state_prior(initial - guesses_[r], normals_[r]);
   }
+  weigh();
   possible_ = true;
   return true;
 }
@@ -258,18 +270,24 @@ Descent Minimiser::operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_
   solver_.options.function_tolerance = kTolerance;
   solver_.options.parameter_tolerance = 1e-9;
   descent.possible = fit.evaluate(unknowns);
+  bool stalled = false;
   while (descent.possible && descent.iterations < max_iterations) {
+    const double expected = fit.expected_decrease();
+    descent.settled = expected < kTolerance || (stalled && expected < kNearTheEnd);
+    if (descent.settled) break;
     const double before = fit.squares();
-    if (fit.expected_decrease() < kTolerance) {
+    // One step, and only if that fails the solver's own search for a shorter one.
+    const int steps = std::min(stalled ? kRoundIterations : 1, max_iterations - descent.iterations);
+    solver_.options.max_num_iterations = 1 + steps;
+    solver_.Solve(fit, &unknowns);
+    descent.iterations += std::clamp(solver_.summary.iterations, 1, steps);
+    descent.possible = fit.evaluate(unknowns);
+    const bool stuck = stalled;
+    stalled = !(before - fit.squares() > 0.1 * std::min(expected, 1.0));
+    if (stuck && stalled) {
       descent.settled = true;
       break;
     }
-    solver_.options.max_num_iterations = 1 + std::min(kRoundIterations, max_iterations - descent.iterations);
-    solver_.Solve(fit, &unknowns);
-    descent.iterations += std::max(1, std::min(solver_.summary.iterations, kRoundIterations));
-    descent.possible = fit.evaluate(unknowns);
-    descent.settled = descent.possible && before - fit.squares() < kTolerance;
-    if (descent.settled) break;
   }
   return descent;
 }

@@ -72,7 +72,11 @@ class JointFit {
 
  private:
   bool evaluate(const double* unknowns) const;
-  void invalidate() { evaluated_.setConstant(std::numeric_limits<double>::quiet_NaN()); }
+  void weigh() const;
+  void invalidate() {
+    evaluated_.setConstant(std::numeric_limits<double>::quiet_NaN());
+    possible_ = false;
+  }
 
   std::span<const Run> runs_;
   const EstimatorOptions& options_;

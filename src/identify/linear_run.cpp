@@ -8,8 +8,6 @@ namespace clampd::identify {
 
 namespace {
 
-using Columns = Eigen::Matrix<double, 2, kUnknowns + 1>;
-
 /// R of a row.
 Eigen::Matrix2d reading_covariance(const Variances& variances, const ReadingWeights& weights, std::size_t k) {
   Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();
@@ -99,6 +97,7 @@ void LinearRun::resize(std::size_t size) {
   rows.resize(size);
   gains.resize(size);
   reference.resize(size);
+  innovations.resize(size);
 }
 
 bool linearise(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
@@ -155,7 +154,7 @@ void ignore_torque_noise(const Variances& variances, const ReadingWeights& weigh
   }
 }
 
-Normal normal_equations(const LinearRun& run) noexcept {
+Normal normal_equations(LinearRun& run) noexcept {
   Normal normal = Normal::Zero();
   // Derivatives of the state's distance from the reference by the unknowns; last column: that distance itself.
   Columns distance = Columns::Zero();
@@ -163,17 +162,54 @@ Normal normal_equations(const LinearRun& run) noexcept {
   for (std::size_t k = 0; k < run.rows.size(); ++k) {
     const LinearRow& row = run.rows[k];
     const RowGain& gain = run.gains[k];
-    Columns innovation = -row.by_state * distance;
+    Columns& innovation = run.innovations[k];
+    innovation.noalias() = -row.by_state.lazyProduct(distance);
     innovation.leftCols<kTheta>() -= row.by_parameter;
     innovation.col(kDataColumn) += row.residual;
-    const Columns weighted = gain.weight * innovation;
+    const Columns weighted = gain.weight.lazyProduct(innovation);
     normal.noalias() += innovation.transpose().lazyProduct(weighted);
-    distance += gain.gain * innovation;
-    distance.col(kDataColumn) -= row.correction;
-    distance = (row.transition * distance).eval();
+    Columns corrected = distance + gain.gain.lazyProduct(innovation);
+    corrected.col(kDataColumn) -= row.correction;
+    distance.noalias() = row.transition.lazyProduct(corrected);
     distance.leftCols<kTheta>() += row.step_by_parameter;
   }
   return normal;
+}
+
+ScoreMoments score_moments(const ReadingWeights& weights, const LinearRun& run) noexcept {
+  ScoreMoments moments;
+  // Of the state at the row after: derivatives of the later rows' products, and their expected square.
+  Columns later = Columns::Zero();
+  Eigen::Matrix2d later_square = Eigen::Matrix2d::Zero();
+  for (std::size_t k = run.rows.size(); k-- > 0;) {
+    const LinearRow& row = run.rows[k];
+    const RowGain& gain = run.gains[k];
+    moments.torque.noalias() +=
+        later.transpose().lazyProduct(Columns(row.torque_covariance.lazyProduct(later)));
+    moments.torque_trace += (row.torque_covariance.array() * later_square.array()).sum();
+
+    const Columns through = row.transition.transpose().lazyProduct(later);
+    const Eigen::Matrix2d square =
+        row.transition.transpose() * later_square * row.transition;
+    const Columns of_reading =
+        gain.weight.lazyProduct(run.innovations[k]) - gain.gain.transpose().lazyProduct(through);
+    const Eigen::Matrix2d reading_square = gain.weight + gain.gain.transpose() * square * gain.gain;
+    const double force_share = weights.force.empty() ? 1.0 : 1.0 / weights.force[k];
+    const double velocity_share = weights.velocity.empty() ? 1.0 : 1.0 / weights.velocity[k];
+    moments.force.noalias() +=
+        (force_share * of_reading.row(0)).transpose().lazyProduct(of_reading.row(0));
+    moments.velocity.noalias() +=
+        (velocity_share * of_reading.row(1)).transpose().lazyProduct(of_reading.row(1));
+    moments.force_trace += force_share * reading_square(0, 0);
+    moments.velocity_trace += velocity_share * reading_square(1, 1);
+    moments.offsets += of_reading.leftCols<kUnknowns>().transpose();
+
+    later = through + row.by_state.transpose().lazyProduct(of_reading);
+    const Eigen::Matrix2d remaining = Eigen::Matrix2d::Identity() - gain.gain * row.by_state;
+    later_square = row.by_state.transpose() * gain.weight * row.by_state +
+                   remaining.transpose() * square * remaining;
+  }
+  return moments;
 }
 
 Eigen::Matrix3d variance_information(const Variances& variances, const ReadingWeights& weights,

@@ -46,6 +46,9 @@ struct ReadingWeights {
   std::vector<double> velocity;
 };
 
+/// Of all unknowns and the data, in a row's two readings or two states.
+using Columns = Eigen::Matrix<double, 2, kUnknowns + 1>;
+
 struct RowGain {
   Eigen::Matrix2d gain;         ///< K of (16)
   Eigen::Matrix2d weight;       ///< inverse of S of (17)
@@ -59,6 +62,7 @@ struct LinearRun {
   std::vector<LinearRow> rows;
   std::vector<RowGain> gains;
   std::vector<Eigen::Vector2d> reference;  ///< state at each row, before its reading is used
+  std::vector<Columns> innovations;        ///< [J e] of each row, by normal_equations()
   double log_determinant = 0.0;            ///< sum of log det S
 };
 
@@ -82,8 +86,25 @@ void update_gains(const Variances& variances, const ReadingWeights& weights, Lin
 /// Gains zero and S = R: the output error method's view.
 void ignore_torque_noise(const Variances& variances, const ReadingWeights& weights, LinearRun& run) noexcept;
 
-/// The innovations' normal equations under the run's gains.
-Normal normal_equations(const LinearRun& run) noexcept;
+/// The innovations' normal equations under the run's gains; keeps [J e] row by row.
+Normal normal_equations(LinearRun& run) noexcept;
+
+/// What the noise does to [J e]^T W e, by a pass backwards (the disturbance smoother's): moments are sums over
+/// all rows of the squared derivative of that product by a reading of weight one, or by the torque.
+struct ScoreMoments {
+  Normal force = Normal::Zero();
+  Normal velocity = Normal::Zero();
+  Normal torque = Normal::Zero();
+  /// Of the weights that the data themselves have: the same sums for white innovations.
+  double force_trace = 0.0;
+  double velocity_trace = 0.0;
+  double torque_trace = 0.0;
+  /// Derivative by an offset common to all force readings, to all velocity readings.
+  Eigen::Matrix<double, kUnknowns, 2> offsets = Eigen::Matrix<double, kUnknowns, 2>::Zero();
+};
+
+/// After normal_equations(), for the same gains.
+ScoreMoments score_moments(const ReadingWeights& weights, const LinearRun& run) noexcept;
 
 /// Expected information on (force variance, velocity variance, torque variance) for the run's gains.
 Eigen::Matrix3d variance_information(const Variances& variances, const ReadingWeights& weights,

@@ -14,10 +14,8 @@ namespace {
 /// A gain in likelihood that no longer matters: a step of a twentieth of the variances' own uncertainty.
 constexpr double kDecrement = 2.5e-3;
 
-constexpr double kDifferenceStep = 1e-4;
-
 constexpr double kTorqueNoiseStart_Nm = 5e-3;
-constexpr int kScoringIterations = 12;
+
 
 double smallest(int i) {
   const double deviation = i == 0 ? kSmallestNoise.force_N : kSmallestNoise.velocity_rad_s;
@@ -29,6 +27,20 @@ Eigen::Vector3d vector_of(const Variances& variances) {
 }
 
 Variances variances_from(const Eigen::Vector3d& values) { return {values[0], values[1], values[2]}; }
+
+/// The joint normal equations solved: what is left of a run's unknowns when the data are given.
+struct Posterior {
+  ParameterMatrix covariance;  ///< of the parameters; zero for held ones
+  ParameterVector step;
+};
+
+Posterior solve(const JointNormal& joint, const Held& held) {
+  const Eigen::LDLT<ParameterMatrix> factor(joint.information);
+  Posterior posterior{factor.solve(ParameterMatrix::Identity()), -factor.solve(joint.gradient)};
+  for (int i = 0; i < kTheta; ++i)
+    if (held[static_cast<std::size_t>(i)]) posterior.covariance(i, i) = 0.0;
+  return posterior;
+}
 
 }  // namespace
 
@@ -50,6 +62,33 @@ double restricted_likelihood(std::span<LinearRun> runs, std::span<const ReadingW
                 joint.gradient.dot(factor.solve(joint.gradient)));
 }
 
+Eigen::Vector3d restricted_likelihood_gradient(std::span<const LinearRun> runs, std::span<const ReadingWeights> weights,
+                                   std::span<const Normal> normals, const Held& held) {
+  const Posterior posterior = solve(eliminate_initial_states(normals, held), held);
+  Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
+  for (std::size_t r = 0; r < runs.size(); ++r) {
+    const Normal& normal = normals[r];
+    const Eigen::Matrix<double, kTheta, 2> coefficients = elimination(normal);
+    const Eigen::Matrix2d initial = normal.block<2, 2>(kTheta, kTheta).inverse();
+    // Second moment of (unknowns, 1) given the data.
+    Normal moment;
+    Eigen::Matrix<double, kUnknowns + 1, 1> mean;
+    mean << posterior.step,
+        -coefficients.transpose() * posterior.step - initial * normal.block<2, 1>(kTheta, kDataColumn), 1.0;
+    moment = mean * mean.transpose();
+    Eigen::Matrix<double, kUnknowns, kTheta> spread;
+    spread << ParameterMatrix::Identity(), -coefficients.transpose();
+    moment.topLeftCorner<kUnknowns, kUnknowns>() += spread * posterior.covariance * spread.transpose();
+    moment.block<2, 2>(kTheta, kTheta) += initial;
+
+    const ScoreMoments score = score_moments(weights[r], runs[r]);
+    gradient[0] += score.force_trace - score.force.cwiseProduct(moment).sum();
+    gradient[1] += score.velocity_trace - score.velocity.cwiseProduct(moment).sum();
+    gradient[2] += score.torque_trace - score.torque.cwiseProduct(moment).sum();
+  }
+  return 0.5 * gradient;
+}
+
 NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeights> weights,
                         std::span<const Eigen::Vector2d> prior_distances, const Held& held,
                         const Variances& start, const KnownVariances& known, int max_iterations) {
@@ -69,16 +108,7 @@ NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeight
     Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
     for (std::size_t r = 0; r < runs.size(); ++r)
       information += variance_information(variances_from(values), weights[r], runs[r]);
-    Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
-    for (int i = 0; i < 3; ++i) {
-      if (fixed[i]) continue;
-      Eigen::Vector3d moved = values;
-      const double uncertainty = information(i, i) > 0.0 ? 1.0 / std::sqrt(information(i, i)) : 0.0;
-      const double step = kDifferenceStep * std::max(values[i], uncertainty);
-      if (!(step > 0.0)) continue;
-      moved[i] += step;
-      gradient[i] = (criterion(moved) - fit.criterion) / step;
-    }
+    const Eigen::Vector3d gradient = restricted_likelihood_gradient(runs, weights, normals, held);
     // Scoring on those variances that may move: not known, and not at zero with the likelihood pushing on.
     Eigen::Vector3d scale = information.diagonal().cwiseMax(0.0).cwiseSqrt();
     Eigen::Matrix3d scaled = Eigen::Matrix3d::Identity();

@@ -13,6 +13,9 @@ struct KnownVariances {
   bool torque = false;
 };
 
+/// Enough from any start: scoring settles in three or four.
+inline constexpr int kScoringIterations = 12;
+
 struct NoiseFit {
   Variances variances;
   double criterion = 0.0;  ///< minus the restricted log-likelihood, less a constant
@@ -31,6 +34,12 @@ NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeight
 double restricted_likelihood(std::span<LinearRun> runs, std::span<const ReadingWeights> weights,
                              std::span<const Eigen::Vector2d> prior_distances, const Held& held,
                              const Variances& variances, std::vector<Normal>& normals);
+
+/// Its derivative by the variances (force, velocity, torque) that the runs' gains are for, right after
+/// restricted_likelihood() wrote `normals`.
+Eigen::Vector3d restricted_likelihood_gradient(std::span<const LinearRun> runs,
+                                               std::span<const ReadingWeights> weights,
+                                               std::span<const Normal> normals, const Held& held);
 
 /// The noise of readings and torque at the fit's last evaluated point, what the options do not know; the fit
 /// keeps its weights.

@@ -112,8 +112,11 @@ TEST(OutputError, UsesKnownNoise) {
   EstimatorOptions options;
   options.noise_force_N = 150.0;
   options.noise_velocity_rad_s = 3.0;
+  options.noise_torque_Nm = 0.0;
   const auto twice = identify_output_error(runs, options);
-  const auto once = identify_output_error(runs, {});
+  EstimatorOptions exact_torque;
+  exact_torque.noise_torque_Nm = 0.0;
+  const auto once = identify_output_error(runs, exact_torque);
   ASSERT_TRUE(twice.converged() && once.converged());
   EXPECT_NEAR(twice.covariance_normalised(1, 1) / once.covariance_normalised(1, 1), 4.0, 0.6);
   EXPECT_EQ(twice.noise_force_N, 150.0);

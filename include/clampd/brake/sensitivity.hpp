@@ -38,69 +38,88 @@ struct StepSlope {
 };
 
 /// runge_kutta() and its exact derivatives, chained onto `tangent`; the same arithmetic for the state.
+///
+/// Parameters and torque act through the four stage accelerations only, and what a change of a stage's
+/// acceleration does to the end of the step is the same for all of them: it is computed once, and each column
+/// then costs eight products.
 template <class Model>
 BrakeState runge_kutta_tangent(const Model& model, const BrakeState& state,
                                Tangent<Model::kParameters>& tangent, double torque_Nm, double sign,
                                double step_s, StepSlope* step_slope) noexcept {
   using T = Tangent<Model::kParameters>;
-  constexpr int kColumns = T::kColumns;
+  constexpr int kForced = Model::kParameters;
   const double half = 0.5 * step_s;
   const double sixth = step_s / 6.0;
-
-  // Stage tangents: of the stage velocity (dp/dt) and of the stage acceleration, and their weighted sums.
-  alignas(32) double stage_position[kColumns];
-  alignas(32) double stage_velocity[kColumns];
-  alignas(32) double rate_velocity[kColumns];
-  alignas(32) double forcing[kColumns];
-  alignas(32) double sum_position[kColumns];
-  alignas(32) double sum_velocity[kColumns];
-  forcing[T::kPosition] = forcing[T::kVelocity] = 0.0;
-
-  const auto set_forcing = [&](const typename Model::Acceleration& point) {
-    for (int i = 0; i < Model::kParameters; ++i) forcing[i] = point.by_parameter[i];
-    forcing[T::kTorque] = point.by_torque;
-  };
-
   const double p0 = state[0];
   const double v0 = state[1];
   const auto a0 = model.linearise(p0, v0, torque_Nm, sign);
-  set_forcing(a0);
-  for (int i = 0; i < kColumns; ++i) {
-    rate_velocity[i] =
-        a0.by_position * tangent.position[i] + a0.by_velocity * tangent.velocity[i] + forcing[i];
-    sum_position[i] = tangent.velocity[i];
-    sum_velocity[i] = rate_velocity[i];
-    stage_position[i] = tangent.position[i] + half * tangent.velocity[i];
-    stage_velocity[i] = tangent.velocity[i] + half * rate_velocity[i];
-  }
   const double v1 = v0 + half * a0.value;
   const auto a1 = model.linearise(p0 + half * v0, v1, torque_Nm, sign);
-  set_forcing(a1);
-  for (int i = 0; i < kColumns; ++i) {
-    rate_velocity[i] = a1.by_position * stage_position[i] + a1.by_velocity * stage_velocity[i] + forcing[i];
-    sum_position[i] += 2.0 * stage_velocity[i];
-    sum_velocity[i] += 2.0 * rate_velocity[i];
-    stage_position[i] = tangent.position[i] + half * stage_velocity[i];
-    stage_velocity[i] = tangent.velocity[i] + half * rate_velocity[i];
-  }
   const double v2 = v0 + half * a1.value;
   const auto a2 = model.linearise(p0 + half * v1, v2, torque_Nm, sign);
-  set_forcing(a2);
-  for (int i = 0; i < kColumns; ++i) {
-    rate_velocity[i] = a2.by_position * stage_position[i] + a2.by_velocity * stage_velocity[i] + forcing[i];
-    sum_position[i] += 2.0 * stage_velocity[i];
-    sum_velocity[i] += 2.0 * rate_velocity[i];
-    stage_position[i] = tangent.position[i] + step_s * stage_velocity[i];
-    stage_velocity[i] = tangent.velocity[i] + step_s * rate_velocity[i];
-  }
   const double v3 = v0 + step_s * a2.value;
   const auto a3 = model.linearise(p0 + step_s * v2, v3, torque_Nm, sign);
-  set_forcing(a3);
-  for (int i = 0; i < kColumns; ++i) {
-    rate_velocity[i] = a3.by_position * stage_position[i] + a3.by_velocity * stage_velocity[i] + forcing[i];
-    tangent.position[i] += sixth * (sum_position[i] + stage_velocity[i]);
-    tangent.velocity[i] += sixth * (sum_velocity[i] + rate_velocity[i]);
+
+  // End of the step by the state at its start; dp1 ... and dv1 ... are of the stages' points.
+  const auto by_start = [&](double dp0, double dv0, double& end_position, double& end_velocity) {
+    const double da0 = a0.by_position * dp0 + a0.by_velocity * dv0;
+    const double dv1 = dv0 + half * da0;
+    const double da1 = a1.by_position * (dp0 + half * dv0) + a1.by_velocity * dv1;
+    const double dv2 = dv0 + half * da1;
+    const double da2 = a2.by_position * (dp0 + half * dv1) + a2.by_velocity * dv2;
+    const double dv3 = dv0 + step_s * da2;
+    const double da3 = a3.by_position * (dp0 + step_s * dv2) + a3.by_velocity * dv3;
+    end_position = dp0 + sixth * (dv0 + 2.0 * (dv1 + dv2) + dv3);
+    end_velocity = dv0 + sixth * (da0 + 2.0 * (da1 + da2) + da3);
+  };
+  double position_by_position, velocity_by_position, position_by_velocity, velocity_by_velocity;
+  by_start(1.0, 0.0, position_by_position, velocity_by_position);
+  by_start(0.0, 1.0, position_by_velocity, velocity_by_velocity);
+
+  // End of the step by the stages' accelerations, the last stage first.
+  double position_by[4];
+  double velocity_by[4];
+  position_by[3] = 0.0;
+  velocity_by[3] = sixth;
+  position_by[2] = sixth * step_s;
+  velocity_by[2] = sixth * (2.0 + step_s * a3.by_velocity);
+  {
+    const double da2 = half * a2.by_velocity;
+    const double dv3 = step_s * da2;
+    const double da3 = step_s * half * a3.by_position + a3.by_velocity * dv3;
+    position_by[1] = sixth * (step_s + dv3);
+    velocity_by[1] = sixth * (2.0 + 2.0 * da2 + da3);
   }
+  {
+    const double da1 = half * a1.by_velocity;
+    const double dv2 = half * da1;
+    const double da2 = half * half * a2.by_position + a2.by_velocity * dv2;
+    const double dv3 = step_s * da2;
+    const double da3 = step_s * dv2 * a3.by_position + a3.by_velocity * dv3;
+    position_by[0] = sixth * (step_s + 2.0 * dv2 + dv3);
+    velocity_by[0] = sixth * (1.0 + 2.0 * (da1 + da2) + da3);
+  }
+
+  const auto chain = [&](int i, double forced_position, double forced_velocity) {
+    const double position = tangent.position[i];
+    const double velocity = tangent.velocity[i];
+    tangent.position[i] =
+        position_by_position * position + position_by_velocity * velocity + forced_position;
+    tangent.velocity[i] =
+        velocity_by_position * position + velocity_by_velocity * velocity + forced_velocity;
+  };
+  for (int i = 0; i < kForced; ++i)
+    chain(i,
+          position_by[0] * a0.by_parameter[i] + position_by[1] * a1.by_parameter[i] +
+              position_by[2] * a2.by_parameter[i],
+          velocity_by[0] * a0.by_parameter[i] + velocity_by[1] * a1.by_parameter[i] +
+              velocity_by[2] * a2.by_parameter[i] + velocity_by[3] * a3.by_parameter[i]);
+  chain(T::kPosition, 0.0, 0.0);
+  chain(T::kVelocity, 0.0, 0.0);
+  chain(T::kTorque,
+        position_by[0] * a0.by_torque + position_by[1] * a1.by_torque + position_by[2] * a2.by_torque,
+        velocity_by[0] * a0.by_torque + velocity_by[1] * a1.by_torque + velocity_by[2] * a2.by_torque +
+            velocity_by[3] * a3.by_torque);
 
   if (step_slope != nullptr) {
     const double dv1 = 0.5 * a0.value;

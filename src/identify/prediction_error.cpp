@@ -1,0 +1,110 @@
+#include "clampd/identify/prediction_error.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "src/identify/conclusion.hpp"
+#include "src/identify/noise_estimation.hpp"
+#include "src/identify/output_error_search.hpp"
+
+namespace clampd {
+
+namespace identify {
+
+namespace {
+
+/// Gains and noise are renewed until the noise's standard deviations change by less than this share, which
+/// moves the parameters by far less than their uncertainty.
+constexpr double kNoiseTolerance = 0.02;
+constexpr double kWeightTolerance = 0.02;
+constexpr int kMostRounds = 12;
+
+/// Where the prediction error method ended from one start.
+struct Attempt {
+  Eigen::VectorXd unknowns;
+  Variances variances;
+  double criterion = std::numeric_limits<double>::infinity();  ///< minus the restricted log-likelihood
+  bool settled = false;
+};
+
+double change_between(const Variances& a, const Variances& b) {
+  // The torque's noise counts once it is no longer lost in that of the readings.
+  constexpr double kNegligible = 1e-8;
+  return 0.5 * std::max({std::abs(b.force / a.force - 1.0), std::abs(b.velocity / a.velocity - 1.0),
+                         std::abs(b.torque - a.torque) / (std::max(a.torque, b.torque) + kNegligible)});
+}
+
+KnownVariances known_by(const EstimatorOptions& options) {
+  return {options.noise_force_N.has_value(), options.noise_velocity_rad_s.has_value(),
+          options.noise_torque_Nm.has_value()};
+}
+
+class PredictionErrorSearch {
+ public:
+  PredictionErrorSearch(JointFit& fit, const EstimatorOptions& options) : fit_(fit), options_(options) {}
+
+  /// Alternates between the parameters under fixed gains and the noise under fixed parameters: to first order
+  /// neither knows of the other, so few rounds suffice.
+  Attempt attempt(const Eigen::VectorXd& start, const Variances& noise) {
+    Attempt result{start, noise};
+    for (int round = 0; round < kMostRounds && !result.settled; ++round) {
+      if (!fit_.use_innovations(result.unknowns, result.variances)) return result;
+      const Descent descent = minimise_(fit_, result.unknowns, options_.max_iterations);
+      iterations_ += descent.iterations;
+      if (!descent.possible) return result;
+      const double reweighted = fit_.update_weights();
+      const NoiseFit found =
+          estimate_noise(fit_.linear_runs(), fit_.weights(), fit_.prior_distances(), options_.held,
+                         result.variances, known_by(options_), kScoringIterations);
+      result.criterion = found.criterion;
+      result.settled = descent.settled && reweighted < kWeightTolerance &&
+                       change_between(result.variances, found.variances) < kNoiseTolerance;
+      result.variances = found.variances;
+    }
+    return result;
+  }
+
+  int iterations() const { return iterations_; }
+
+ private:
+  JointFit& fit_;
+  const EstimatorOptions& options_;
+  Minimiser minimise_;
+  int iterations_ = 0;
+};
+
+}  // namespace
+
+}  // namespace identify
+
+Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOptions& options) {
+  using namespace identify;
+  const Stopwatch stopwatch;
+  Estimate estimate = empty_estimate(options);
+  if (const Result<void> valid = check_input(runs, options); !valid) {
+    estimate.message = valid.error().message;
+    return estimate;
+  }
+  OutputErrorSearch output_errors(runs, options);
+  const OutputErrorAttempt warm = output_errors.best();
+  estimate.iterations = output_errors.iterations();
+  if (std::isfinite(warm.score)) {
+    JointFit& fit = output_errors.fit_at(warm);
+    PredictionErrorSearch search(fit, options);
+    const Attempt best = search.attempt(warm.unknowns, noise_of_output_errors(fit, options));
+    estimate.iterations += search.iterations();
+    if (std::isfinite(best.criterion) && fit.use_innovations(best.unknowns, best.variances) &&
+        fit.evaluate(best.unknowns))
+      conclude(fit, best.unknowns, best.variances, best.settled, options, estimate);
+    else
+      estimate.message = "the Kalman filter diverges on the runs from every start";
+  } else {
+    estimate.message =
+        "the model cannot follow the runs from any start: its simulation diverges under their torque";
+  }
+  estimate.wall_s = stopwatch.seconds();
+  return estimate;
+}
+
+}  // namespace clampd
