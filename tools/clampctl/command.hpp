@@ -18,6 +18,7 @@ void add_run_command(CLI::App& app, const CommonOptions& common, int& exit_code)
 void add_identify_command(CLI::App& app, int& exit_code);
 void add_design_command(CLI::App& app, int& exit_code);
 void add_simulate_command(CLI::App& app, int& exit_code);
+void add_reproduce_command(CLI::App& app, int& exit_code);
 void add_station_commands(CLI::App& app, const CommonOptions& common,
                           int& exit_code);  ///< status, stop, clear
 void add_results_command(CLI::App& app, const CommonOptions& common, int& exit_code);

@@ -23,6 +23,10 @@ inline constexpr NoiseLevels kBenchNoise{.sensors = {.force_N = 30.0, .velocity_
                                          .torque_Nm = 0.0142};
 inline constexpr std::size_t kBlock_samples = 20;
 inline constexpr std::size_t kDesignLength_samples = 300;
+/// The experiment for the bench uses this share of the limits, and lets a torque that is
+/// off by 1 mN m all along move the velocity by 3 rad/s at most.
+inline constexpr double kHeadroom = 0.9;
+inline constexpr double kBenchAmplification_rad_s_Nm = 3e3;
 
 struct StudyOptions {
   std::uint64_t seed = 1;
@@ -49,7 +53,9 @@ struct Design {
 /// The simulated bench's repeats of one trajectory, tracked by the station's own controller.
 struct Experiment {
   std::vector<SimulatedRun> runs;
-  double bench_s = 0.0;  ///< all of it: opening, tare, approaches, repeats, release
+  double bench_s = 0.0;      ///< all of it: opening, tare, approaches, repeats, release
+  double force_max_N = 0.0;  ///< what the brake really did
+  double speed_max_rad_s = 0.0;
 };
 
 /// One column of Table II: every repeat estimated alone.
