@@ -120,7 +120,7 @@ Result<void> check_input(std::span<const Run> runs, const EstimatorOptions& opti
   return check_runs(runs);
 }
 
-void conclude(const JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& variances, bool settled,
+void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& variances, bool settled,
               const EstimatorOptions& options, Estimate& estimate) {
   estimate.parameters.theta = fit.theta_of(unknowns);
   estimate.noise_force_N = std::sqrt(variances.force);

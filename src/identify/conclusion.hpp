@@ -16,7 +16,7 @@ Result<void> check_input(std::span<const Run> runs, const EstimatorOptions& opti
 
 /// Fills the estimate from a fit evaluated at `unknowns`, whose runs have noise of these variances, and says
 /// whether it can be relied on. `settled`: the search ended by itself.
-void conclude(const JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& variances, bool settled,
+void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& variances, bool settled,
               const EstimatorOptions& options, Estimate& estimate);
 
 class Stopwatch {

@@ -98,6 +98,7 @@ void LinearRun::resize(std::size_t size) {
   gains.resize(size);
   reference.resize(size);
   innovations.resize(size);
+  disturbances.resize(size);
 }
 
 bool linearise(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
@@ -176,8 +177,12 @@ Normal normal_equations(LinearRun& run) noexcept {
   return normal;
 }
 
-ScoreMoments score_moments(const ReadingWeights& weights, const LinearRun& run) noexcept {
+ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<double, kUnknowns, 1>& step,
+                           LinearRun& run) noexcept {
   ScoreMoments moments;
+  const auto at_step = [&](const Columns& columns) -> Eigen::Vector2d {
+    return columns.leftCols<kUnknowns>() * step + columns.col(kDataColumn);
+  };
   // Of the state at the row after: derivatives of the later rows' products, and their expected square.
   Columns later = Columns::Zero();
   Eigen::Matrix2d later_square = Eigen::Matrix2d::Zero();
@@ -203,6 +208,7 @@ ScoreMoments score_moments(const ReadingWeights& weights, const LinearRun& run) 
     moments.force_trace += force_share * reading_square(0, 0);
     moments.velocity_trace += velocity_share * reading_square(1, 1);
     moments.offsets += of_reading.leftCols<kUnknowns>().transpose();
+    run.disturbances[k] = {at_step(of_reading), at_step(later)};
 
     later = through + row.by_state.transpose().lazyProduct(of_reading);
     const Eigen::Matrix2d remaining = Eigen::Matrix2d::Identity() - gain.gain * row.by_state;
@@ -212,32 +218,28 @@ ScoreMoments score_moments(const ReadingWeights& weights, const LinearRun& run) 
   return moments;
 }
 
-Eigen::Matrix3d variance_information(const Variances& variances, const ReadingWeights& weights,
-                                     const LinearRun& run) noexcept {
-  Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
-  Eigen::Matrix2d predicted[3] = {Eigen::Matrix2d::Zero(), Eigen::Matrix2d::Zero(), Eigen::Matrix2d::Zero()};
+WorkingProducts working_products(const ReadingWeights& weights, const LinearRun& run) noexcept {
+  WorkingProducts products;
+  using Three = Eigen::Matrix<double, 2, 3>;
+  Eigen::Vector2d disturbed = Eigen::Vector2d::Zero();  // the state's distance by the torque's disturbances
+  Three distance = Three::Zero();                       // the filter's
   for (std::size_t k = 0; k < run.rows.size(); ++k) {
     const LinearRow& row = run.rows[k];
     const RowGain& gain = run.gains[k];
-    const Eigen::Matrix2d reading = reading_covariance(variances, weights, k);
-    const Eigen::Matrix2d remaining = Eigen::Matrix2d::Identity() - gain.gain * row.by_state;
-    Eigen::Matrix2d scaled[3];  // S^-1 dS
-    for (int i = 0; i < 3; ++i) {
-      Eigen::Matrix2d of_reading = Eigen::Matrix2d::Zero();
-      if (i == 0) of_reading(0, 0) = reading(0, 0) / variances.force;
-      if (i == 1) of_reading(1, 1) = reading(1, 1) / variances.velocity;
-      scaled[i] = gain.weight * (row.by_state * predicted[i] * row.by_state.transpose() + of_reading);
-      const Eigen::Matrix2d filtered = remaining * predicted[i] * remaining.transpose() +
-                                       gain.gain * of_reading * gain.gain.transpose();
-      predicted[i] = row.transition * filtered * row.transition.transpose();
-    }
-    predicted[2] += row.torque_covariance;
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j <= i; ++j)
-        information(i, j) += 0.5 * (scaled[i].array() * scaled[j].transpose().array()).sum();
+    const Disturbance& disturbance = run.disturbances[k];
+    Three innovation = -row.by_state.lazyProduct(distance);
+    innovation(0, 0) += disturbance.reading[0] / (weights.force.empty() ? 1.0 : weights.force[k]);
+    innovation(1, 1) += disturbance.reading[1] / (weights.velocity.empty() ? 1.0 : weights.velocity[k]);
+    innovation.col(2) += row.by_state * disturbed;
+    const Three weighted = gain.weight.lazyProduct(innovation);
+    products.with_themselves.noalias() += innovation.transpose().lazyProduct(weighted);
+    products.with_unknowns.noalias() +=
+        run.innovations[k].leftCols<kUnknowns>().transpose().lazyProduct(weighted);
+    const Three corrected = distance + gain.gain.lazyProduct(innovation);
+    distance.noalias() = row.transition.lazyProduct(corrected);
+    disturbed = row.transition * disturbed + row.torque_covariance * disturbance.next_state;
   }
-  information.triangularView<Eigen::StrictlyUpper>() = information.transpose();
-  return information;
+  return products;
 }
 
 }  // namespace clampd::identify

@@ -55,6 +55,13 @@ struct RowGain {
   Eigen::Matrix2d covariance;   ///< P(k|k-1)
 };
 
+/// The disturbance smoother's result for a row, in units of the inverse noise: reading noise over its
+/// variance, and what multiplies the torque noise's covariance to give the disturbance of the next state.
+struct Disturbance {
+  Eigen::Vector2d reading;
+  Eigen::Vector2d next_state;
+};
+
 /// A run linearised, and the filter that goes with it. Sized once, used many times.
 struct LinearRun {
   void resize(std::size_t size);
@@ -63,6 +70,7 @@ struct LinearRun {
   std::vector<RowGain> gains;
   std::vector<Eigen::Vector2d> reference;  ///< state at each row, before its reading is used
   std::vector<Columns> innovations;        ///< [J e] of each row, by normal_equations()
+  std::vector<Disturbance> disturbances;   ///< by score_moments()
   double log_determinant = 0.0;            ///< sum of log det S
 };
 
@@ -103,11 +111,18 @@ struct ScoreMoments {
   Eigen::Matrix<double, kUnknowns, 2> offsets = Eigen::Matrix<double, kUnknowns, 2>::Zero();
 };
 
-/// After normal_equations(), for the same gains.
-ScoreMoments score_moments(const ReadingWeights& weights, const LinearRun& run) noexcept;
+/// After normal_equations(), for the same gains. Keeps the disturbances for the unknowns moved by `step`.
+ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<double, kUnknowns, 1>& step,
+                           LinearRun& run) noexcept;
 
-/// Expected information on (force variance, velocity variance, torque variance) for the run's gains.
-Eigen::Matrix3d variance_information(const Variances& variances, const ReadingWeights& weights,
-                                     const LinearRun& run) noexcept;
+/// The readings that each of the three noises (force, velocity, torque) alone would have caused if the
+/// disturbances were true, filtered like the data: products among themselves and with J.
+struct WorkingProducts {
+  Eigen::Matrix3d with_themselves = Eigen::Matrix3d::Zero();
+  Eigen::Matrix<double, kUnknowns, 3> with_unknowns = Eigen::Matrix<double, kUnknowns, 3>::Zero();
+};
+
+/// After score_moments().
+WorkingProducts working_products(const ReadingWeights& weights, const LinearRun& run) noexcept;
 
 }  // namespace clampd::identify

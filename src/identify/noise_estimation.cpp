@@ -14,7 +14,7 @@ namespace {
 /// A gain in likelihood that no longer matters: a step of a twentieth of the variances' own uncertainty.
 constexpr double kDecrement = 2.5e-3;
 
-constexpr double kTorqueNoiseStart_Nm = 5e-3;
+constexpr double kTorqueNoiseStart_Nm = 1e-2;
 
 
 double smallest(int i) {
@@ -62,31 +62,40 @@ double restricted_likelihood(std::span<LinearRun> runs, std::span<const ReadingW
                 joint.gradient.dot(factor.solve(joint.gradient)));
 }
 
-Eigen::Vector3d restricted_likelihood_gradient(std::span<const LinearRun> runs, std::span<const ReadingWeights> weights,
-                                   std::span<const Normal> normals, const Held& held) {
+LikelihoodSlopes restricted_likelihood_slopes(std::span<LinearRun> runs,
+                                              std::span<const ReadingWeights> weights,
+                                              std::span<const Normal> normals, const Held& held) {
   const Posterior posterior = solve(eliminate_initial_states(normals, held), held);
-  Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
+  LikelihoodSlopes slopes{Eigen::Vector3d::Zero(), Eigen::Matrix3d::Zero()};
+  Eigen::Matrix<double, kTheta, 3> with_parameters = Eigen::Matrix<double, kTheta, 3>::Zero();
   for (std::size_t r = 0; r < runs.size(); ++r) {
     const Normal& normal = normals[r];
     const Eigen::Matrix<double, kTheta, 2> coefficients = elimination(normal);
     const Eigen::Matrix2d initial = normal.block<2, 2>(kTheta, kTheta).inverse();
     // Second moment of (unknowns, 1) given the data.
-    Normal moment;
     Eigen::Matrix<double, kUnknowns + 1, 1> mean;
     mean << posterior.step,
         -coefficients.transpose() * posterior.step - initial * normal.block<2, 1>(kTheta, kDataColumn), 1.0;
-    moment = mean * mean.transpose();
+    Normal moment = mean * mean.transpose();
     Eigen::Matrix<double, kUnknowns, kTheta> spread;
     spread << ParameterMatrix::Identity(), -coefficients.transpose();
     moment.topLeftCorner<kUnknowns, kUnknowns>() += spread * posterior.covariance * spread.transpose();
     moment.block<2, 2>(kTheta, kTheta) += initial;
 
-    const ScoreMoments score = score_moments(weights[r], runs[r]);
-    gradient[0] += score.force_trace - score.force.cwiseProduct(moment).sum();
-    gradient[1] += score.velocity_trace - score.velocity.cwiseProduct(moment).sum();
-    gradient[2] += score.torque_trace - score.torque.cwiseProduct(moment).sum();
+    const ScoreMoments score = score_moments(weights[r], mean.head<kUnknowns>(), runs[r]);
+    slopes.gradient[0] += score.force_trace - score.force.cwiseProduct(moment).sum();
+    slopes.gradient[1] += score.velocity_trace - score.velocity.cwiseProduct(moment).sum();
+    slopes.gradient[2] += score.torque_trace - score.torque.cwiseProduct(moment).sum();
+
+    const WorkingProducts products = working_products(weights[r], runs[r]);
+    const Eigen::Matrix<double, 2, 3> with_initial = products.with_unknowns.bottomRows<2>();
+    slopes.information += products.with_themselves - with_initial.transpose() * initial * with_initial;
+    with_parameters += products.with_unknowns.topRows<kTheta>() - coefficients * with_initial;
   }
-  return 0.5 * gradient;
+  slopes.information -= with_parameters.transpose() * posterior.covariance * with_parameters;
+  slopes.gradient *= 0.5;
+  slopes.information *= 0.5;
+  return slopes;
 }
 
 NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeights> weights,
@@ -105,10 +114,7 @@ NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeight
   bool settled = known.force && known.velocity && known.torque;
   for (; fit.iterations < max_iterations && !settled; ++fit.iterations) {
     // The gains are those of `values` here.
-    Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
-    for (std::size_t r = 0; r < runs.size(); ++r)
-      information += variance_information(variances_from(values), weights[r], runs[r]);
-    const Eigen::Vector3d gradient = restricted_likelihood_gradient(runs, weights, normals, held);
+    const auto [gradient, information] = restricted_likelihood_slopes(runs, weights, normals, held);
     // Scoring on those variances that may move: not known, and not at zero with the likelihood pushing on.
     Eigen::Vector3d scale = information.diagonal().cwiseMax(0.0).cwiseSqrt();
     Eigen::Matrix3d scaled = Eigen::Matrix3d::Identity();

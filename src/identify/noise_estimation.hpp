@@ -35,11 +35,16 @@ double restricted_likelihood(std::span<LinearRun> runs, std::span<const ReadingW
                              std::span<const Eigen::Vector2d> prior_distances, const Held& held,
                              const Variances& variances, std::vector<Normal>& normals);
 
-/// Its derivative by the variances (force, velocity, torque) that the runs' gains are for, right after
-/// restricted_likelihood() wrote `normals`.
-Eigen::Vector3d restricted_likelihood_gradient(std::span<const LinearRun> runs,
-                                               std::span<const ReadingWeights> weights,
-                                               std::span<const Normal> normals, const Held& held);
+/// Its derivatives by the variances (force, velocity, torque) that the runs' gains are for, right after
+/// restricted_likelihood() wrote `normals`. Second ones: the average of observed and expected information
+/// (Gilmour, Thompson and Cullis 1995), which needs no more than another pass over the rows.
+struct LikelihoodSlopes {
+  Eigen::Vector3d gradient;
+  Eigen::Matrix3d information;
+};
+LikelihoodSlopes restricted_likelihood_slopes(std::span<LinearRun> runs,
+                                              std::span<const ReadingWeights> weights,
+                                              std::span<const Normal> normals, const Held& held);
 
 /// The noise of readings and torque at the fit's last evaluated point, what the options do not know; the fit
 /// keeps its weights.

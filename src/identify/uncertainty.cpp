@@ -19,9 +19,9 @@ void clear_held(const Held& held, ParameterMatrix& matrix) {
 
 }  // namespace
 
-Uncertainty uncertainty_of(const JointFit& fit, const Variances& variances, const Held& held) {
+Uncertainty uncertainty_of(JointFit& fit, const Variances& variances, const Held& held) {
   Uncertainty result;
-  const std::span<const LinearRun> runs = fit.linear_runs();
+  const std::span<LinearRun> runs = fit.linear_runs();
   const JointNormal joint = fit.joint_normal();
   result.information = joint.information;
   ParameterMatrix inverse = cramer_rao(joint.information);
@@ -34,7 +34,7 @@ Uncertainty uncertainty_of(const JointFit& fit, const Variances& variances, cons
     const Normal& normal = fit.normal(r);
     Eigen::Matrix<double, kTheta, kUnknowns> eliminate;
     eliminate << ParameterMatrix::Identity(), -elimination(normal);
-    const ScoreMoments moments = score_moments(fit.weights()[r], runs[r]);
+    const ScoreMoments moments = score_moments(fit.weights()[r], Eigen::Matrix<double, kUnknowns, 1>::Zero(), runs[r]);
     const Eigen::Matrix<double, kUnknowns, kUnknowns> reading = (variances.force * moments.force + variances.velocity * moments.velocity)
                              .topLeftCorner<kUnknowns, kUnknowns>();
     readings += eliminate * reading * eliminate.transpose();

@@ -14,6 +14,6 @@ struct Uncertainty {
 
 /// Of the estimate at the fit's last evaluated point, whose readings and torque have noise of these
 /// variances, whatever weights the fit used. Rows and columns of held parameters are zero.
-Uncertainty uncertainty_of(const JointFit& fit, const Variances& variances, const Held& held);
+Uncertainty uncertainty_of(JointFit& fit, const Variances& variances, const Held& held);
 
 }  // namespace clampd::identify
