@@ -12,15 +12,26 @@ namespace {
 
 constexpr double kNegligibleAmplification = 1e-6;
 
+/// Share of nominal by which neighbours differ, and the change of log det M that is still steady: somewhat
+/// stricter than certify().
+constexpr double kNeighbour = 1.1e-5;
+constexpr double kSteady = 0.25;
+/// Beyond, two good integrators differ by more than certify() grants.
+constexpr double kSteadyAmplification_rad_s_Nm = 6e5;
+
 }  // namespace
 
 DesignProblem::DesignProblem(const DesignOptions& options, double tightening)
     : model_(paper_brake(options.brake)),
+      brake_(options.brake),
+      noise_(options.noise),
       initial_(options.initial),
       samples_(options.samples),
       block_samples_(options.block_samples),
       blocks_(options.samples / options.block_samples),
       kind_(options.objective),
+      caution_(options.objective == Objective::D ? options.caution
+                                                 : options.caution / static_cast<double>(kParameterCount)),
       amplification_limited_(std::isfinite(options.limits.amplification_rad_s_Nm)),
       end_limited_(std::isfinite(options.limits.end_velocity_rad_s)),
       torque_limit_Nm_(options.limits.torque_Nm),
@@ -32,6 +43,9 @@ DesignProblem::DesignProblem(const DesignOptions& options, double tightening)
       inertia_kg_m2_(options.brake.fixed.inertia_kg_m2),
       point_(blocks_),
       sweep_(options.brake, options.noise, samples_, block_samples_),
+      above_(samples_),
+      below_(samples_),
+      differences_(static_cast<Eigen::Index>(2 * samples_), static_cast<Eigen::Index>(kParameterCount)),
       block_torque_Nm_(blocks_),
       force_peak_(blocks_),
       speed_peak_(blocks_) {
@@ -76,11 +90,13 @@ void DesignProblem::evaluate(std::span<const double> x) {
     constraint_[static_cast<Eigen::Index>(blocks_ + block)] =
         std::abs(sweep_.velocity_rad_s()[speed_peak_[block]]) / speed_limit_rad_s_ - 1.0;
   }
+  amplification_peak_ = 0;
+  for (std::size_t row = 1; row < samples_; ++row)
+    if (larger(sweep_.amplification(amplification_peak_), sweep_.amplification(row)))
+      amplification_peak_ = row;
+  objective_ += caution_ *
+                std::log1p(std::abs(sweep_.amplification(amplification_peak_)) / kEasyAmplification_rad_s_Nm);
   if (amplification_limited_) {
-    amplification_peak_ = 0;
-    for (std::size_t row = 1; row < samples_; ++row)
-      if (larger(sweep_.amplification(amplification_peak_), sweep_.amplification(row)))
-        amplification_peak_ = row;
     // It grows exponentially in the torques. Far below the limit its logarithm says nothing of use.
     const double amplification = std::abs(sweep_.amplification(amplification_peak_)) / amplification_limit_;
     constraint_[amplification_row()] = std::log(std::max(amplification, kNegligibleAmplification));
@@ -108,7 +124,7 @@ void DesignProblem::differentiate_constraints() {
   }
   if (amplification_limited_ && constraint_[amplification_row()] > std::log(kNegligibleAmplification)) {
     std::fill(velocity.begin(), velocity.end(), 0.0);
-    sweep_.backward_amplification(amplification_peak_, velocity);
+    sweep_.backward_amplification({.row = amplification_peak_, .weight = 1.0}, velocity);
     put(amplification_row(), velocity, torque_limit_Nm_ / sweep_.amplification(amplification_peak_));
   }
   if (end_limited_) {
@@ -126,9 +142,37 @@ void DesignProblem::differentiate(std::span<const double> x) {
   if (!std::isfinite(objective_)) return;
   // dJ = trace(slope dM) with M = S^T S, so that dJ = <2 S slope, dS>.
   weights_.noalias() = 2.0 * sweep_.sensitivity() * slope_;
-  sweep_.backward(weights_, {objective_gradient_.data(), blocks_});
+  const double amplification = sweep_.amplification(amplification_peak_);
+  const double price =
+      std::copysign(caution_ / (kEasyAmplification_rad_s_Nm + std::abs(amplification)), amplification);
+  sweep_.backward(weights_, {.row = amplification_peak_, .weight = price},
+                  {objective_gradient_.data(), blocks_});
   objective_gradient_ *= torque_limit_Nm_;
   differentiate_constraints();
+}
+
+bool DesignProblem::is_steady(std::span<const double> x) {
+  evaluate(x);
+  if (std::abs(sweep_.amplification(amplification_peak_)) > kSteadyAmplification_rad_s_Nm) return false;
+  std::vector<double> torque_Nm(samples_);
+  for (std::size_t row = 0; row < samples_; ++row) torque_Nm[row] = block_torque_Nm_[row / block_samples_];
+  const ParameterVector nominal = nominal_parameters();
+  for (Eigen::Index i = 0; i < nominal.size(); ++i) {
+    BrakeParameters neighbour = brake_;
+    neighbour.theta[i] += kNeighbour * nominal[i];
+    simulate(neighbour, initial_, Excitation{.torque_Nm = torque_Nm}, above_);
+    neighbour.theta[i] = brake_.theta[i] - kNeighbour * nominal[i];
+    simulate(neighbour, initial_, Excitation{.torque_Nm = torque_Nm}, below_);
+    simulations_ += 2;
+    for (std::size_t row = 0; row < samples_; ++row) {
+      const auto at = static_cast<Eigen::Index>(2 * row);
+      differences_(at, i) = (above_.force_N[row] - below_.force_N[row]) / (2.0 * kNeighbour * noise_.force_N);
+      differences_(at + 1, i) = (above_.velocity_rad_s[row] - below_.velocity_rad_s[row]) /
+                                (2.0 * kNeighbour * noise_.velocity_rad_s);
+    }
+  }
+  const ParameterMatrix information = differences_.transpose() * differences_;
+  return std::abs(log_det(information) - log_det(information_)) <= kSteady;
 }
 
 bool DesignProblem::keeps_limits(BrakeState& state, double torque_Nm) const {

@@ -36,10 +36,15 @@ class DesignProblem {
   /// Their gradients at `x` as well.
   void differentiate(std::span<const double> x);
 
+  /// Whether M of `x` holds over changes of the parameters by a hundred-thousandth, as difference quotients
+  /// tell. Designs on the verge of a lock-up are good for one brake only.
+  bool is_steady(std::span<const double> x);
+
   /// Makes the next evaluation cost what it costs, whatever this object was used for before.
   void forget() { evaluated_ = differentiated_ = false; }
 
-  double objective() const { return objective_; }  ///< infinite where M is singular or the run diverges
+  /// With the price of the amplification; infinite where M is singular or the run diverges.
+  double objective() const { return objective_; }
   const Eigen::VectorXd& constraint_values() const { return constraint_; }
   const Eigen::VectorXd& objective_gradient() const { return objective_gradient_; }
   const Eigen::MatrixXd& constraint_gradient() const { return constraint_gradient_; }  ///< constraint x block
@@ -59,11 +64,14 @@ class DesignProblem {
   void differentiate_constraints();
 
   PaperBrake model_;
+  BrakeParameters brake_;
+  SensorNoise noise_;
   BrakeState initial_;
   std::size_t samples_;
   std::size_t block_samples_;
   std::size_t blocks_;
   Objective kind_;
+  double caution_;
   bool amplification_limited_;
   bool end_limited_;
   double torque_limit_Nm_;
@@ -78,6 +86,9 @@ class DesignProblem {
   bool evaluated_ = false;
   bool differentiated_ = false;
   SensitivitySweep sweep_;
+  Simulation above_;
+  Simulation below_;
+  SensitivitySweep::Rows differences_;
   std::vector<double> block_torque_Nm_;
   std::vector<std::size_t> force_peak_;
   std::vector<std::size_t> speed_peak_;

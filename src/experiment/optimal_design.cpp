@@ -27,6 +27,7 @@ constexpr double kTightening = 2e-4;
 /// A violation that counts as none, relative to a limit: well inside of the tightening.
 constexpr double kFeasible = 2e-5;
 
+constexpr std::size_t kExploration = 64;        ///< fewest starts of the exploration
 constexpr std::size_t kRandomExperiments = 60;  ///< tried for each start of the exploration
 constexpr std::size_t kVariations = 30;         ///< tried for each start of the improvement
 constexpr int kExplorationEvaluations = 60;
@@ -37,14 +38,24 @@ constexpr std::size_t kRoundStarts = 24;  ///< starts between two selections of 
 /// Designs whose torques are nowhere further apart than this share of the limit are of one family; the elite
 /// holds one of each.
 constexpr double kSameFamily = 0.1;
+/// The same of designs that certify() would refuse for the same reason.
+constexpr double kSameDesign = 0.003;
 /// A start this close to its parent in the objective would only be searched again.
 constexpr double kSameObjective = 0.02;
+/// What a design that is not steady counts worse by.
+constexpr double kUnsteady = 0.5;
+/// Points of a local search closer to one that is not steady are not tested again.
+constexpr double kWorthTesting = 0.01;
 /// Designs that are shown to certify() before the search gives up.
-constexpr std::size_t kCertifications = 40;
+constexpr std::size_t kCertifications = 30;
 
 struct Candidate {
   std::vector<double> x;  ///< torques of the blocks over the torque limit
   double objective = kInfinity;
+  bool steady = false;
+
+  /// What candidates are compared by: unsteady ones make good parents, but no good designs.
+  double rank() const { return steady ? objective : objective + kUnsteady; }
 };
 
 struct OptimiserDeleter {
@@ -55,20 +66,30 @@ using Optimiser = std::unique_ptr<std::remove_pointer_t<nlopt_opt>, OptimiserDel
 /// What the search is told where M is singular: worse than any real design, and finite, as it must be.
 constexpr double kSingularObjective = 1e3;
 
+/// A local search: its problem and the feasible points that it passes.
+struct Passage {
+  DesignProblem& problem;
+  std::vector<Candidate> feasible;
+};
+
 double objective_for_search(unsigned count, const double* x, double* gradient, void* data) {
-  auto& problem = *static_cast<DesignProblem*>(data);
+  auto& passage = *static_cast<Passage*>(data);
+  DesignProblem& problem = passage.problem;
   if (gradient != nullptr) {
     problem.differentiate({x, count});
     std::copy(problem.objective_gradient().begin(), problem.objective_gradient().end(), gradient);
   } else {
     problem.evaluate({x, count});
   }
-  return std::isfinite(problem.objective()) ? problem.objective() : kSingularObjective;
+  if (!std::isfinite(problem.objective())) return kSingularObjective;
+  if (problem.violation() <= kFeasible)
+    passage.feasible.push_back({std::vector<double>(x, x + count), problem.objective()});
+  return problem.objective();
 }
 
 void constraints_for_search(unsigned constraints, double* result, unsigned count, const double* x,
                             double* gradient, void* data) {
-  auto& problem = *static_cast<DesignProblem*>(data);
+  DesignProblem& problem = static_cast<Passage*>(data)->problem;
   if (gradient != nullptr) {
     problem.differentiate({x, count});
     for (unsigned row = 0; row < constraints; ++row)
@@ -80,14 +101,16 @@ void constraints_for_search(unsigned constraints, double* result, unsigned count
   std::copy(problem.constraint_values().begin(), problem.constraint_values().end(), result);
 }
 
-/// Sequential quadratic programming from candidate.x; keeps the best feasible point it passes.
+/// Sequential quadratic programming from candidate.x; keeps the best steady one of the feasible points
+/// that it passes: where it ends is often the verge of a lock-up.
 void improve(DesignProblem& problem, Candidate& candidate, int evaluations) {
   const auto count = static_cast<unsigned>(problem.blocks());
   const Optimiser optimiser(nlopt_create(NLOPT_LD_SLSQP, count));
   const std::vector<double> tolerance(problem.constraints(), kFeasible);
-  nlopt_set_min_objective(optimiser.get(), objective_for_search, &problem);
+  Passage passage{problem, {}};
+  nlopt_set_min_objective(optimiser.get(), objective_for_search, &passage);
   nlopt_add_inequality_mconstraint(optimiser.get(), static_cast<unsigned>(problem.constraints()),
-                                   constraints_for_search, &problem, tolerance.data());
+                                   constraints_for_search, &passage, tolerance.data());
   nlopt_set_lower_bounds1(optimiser.get(), -1.0);
   nlopt_set_upper_bounds1(optimiser.get(), 1.0);
   nlopt_set_ftol_abs(optimiser.get(), 1e-4);
@@ -96,11 +119,21 @@ void improve(DesignProblem& problem, Candidate& candidate, int evaluations) {
   double reached = kInfinity;
   // Failures of its line search near a kink of the model are an end like any other.
   nlopt_optimize(optimiser.get(), x.data(), &reached);
-  for (double& share : x) share = std::clamp(share, -1.0, 1.0);
-  problem.evaluate(x);
-  if (problem.violation() > kFeasible || !(problem.objective() < kSingularObjective)) return;
-  candidate.x = x;
-  candidate.objective = problem.objective();
+  std::vector<Candidate>& feasible = passage.feasible;
+  std::stable_sort(feasible.begin(), feasible.end(),
+                   [](const Candidate& a, const Candidate& b) { return a.objective < b.objective; });
+  if (feasible.empty() || !(feasible.front().objective < candidate.rank())) return;
+  double tested = -kInfinity;
+  for (Candidate& passed : feasible) {
+    if (passed.objective >= std::min(candidate.rank(), feasible.front().rank())) break;
+    if (passed.objective < tested + kWorthTesting) continue;
+    tested = passed.objective;
+    passed.steady = problem.is_steady(passed.x);
+    if (!passed.steady) continue;
+    candidate = passed;
+    return;
+  }
+  if (feasible.front().rank() < candidate.rank()) candidate = feasible.front();
 }
 
 /// Objective with the violation added: ranks starts, feasible or not.
@@ -109,11 +142,16 @@ double merit(DesignProblem& problem, std::span<const double> x) {
   return problem.objective() + 100.0 * problem.violation();
 }
 
+bool alike(const Candidate& a, const Candidate& b, double distance) {
+  return std::equal(a.x.begin(), a.x.end(), b.x.begin(),
+                    [distance](double one, double other) { return std::abs(one - other) <= distance; });
+}
+
 class Search {
  public:
   explicit Search(const DesignOptions& options);
   void run();
-  /// All feasible designs found, the best one first.
+  /// All feasible designs found: the steady ones, then the others, each the best one first.
   const std::vector<Candidate>& feasible() const { return feasible_; }
   std::int64_t simulations() const;
 
@@ -242,17 +280,12 @@ void Search::select(std::vector<Candidate>&& found) {
   for (Candidate& candidate : found)
     if (std::isfinite(candidate.objective)) feasible_.push_back(std::move(candidate));
   std::stable_sort(feasible_.begin(), feasible_.end(),
-                   [](const Candidate& a, const Candidate& b) { return a.objective < b.objective; });
-  const auto same_family = [](const Candidate& a, const Candidate& b) {
-    for (std::size_t i = 0; i < a.x.size(); ++i)
-      if (std::abs(a.x[i] - b.x[i]) > kSameFamily) return false;
-    return true;
-  };
+                   [](const Candidate& a, const Candidate& b) { return a.rank() < b.rank(); });
   elite_.clear();
   for (const Candidate& candidate : feasible_) {
     if (elite_.size() == kElite) break;
     if (std::none_of(elite_.begin(), elite_.end(),
-                     [&](const Candidate& better) { return same_family(better, candidate); }))
+                     [&](const Candidate& better) { return alike(better, candidate, kSameFamily); }))
       elite_.push_back(candidate);
   }
 }
@@ -265,7 +298,7 @@ void Search::report(bool done) const {
 }
 
 void Search::run() {
-  const std::size_t exploration = std::max<std::size_t>(1, total_ / 2);
+  const std::size_t exploration = std::min(total_, std::max(kExploration, total_ / 5));
   while (task_ < total_) {
     const std::size_t count = std::min(kRoundStarts, total_ - static_cast<std::size_t>(task_));
     if (task_ < exploration || elite_.empty())
@@ -282,6 +315,8 @@ void Search::run() {
     improve(problem, candidate, kPolishEvaluations);
     return candidate;
   }));
+  std::stable_partition(feasible_.begin(), feasible_.end(),
+                        [](const Candidate& candidate) { return candidate.steady; });
   report(true);
 }
 
@@ -351,6 +386,7 @@ Result<void> DesignOptions::validate() const {
   if (!positive(noise.force_N) || !positive(noise.velocity_rad_s))
     return failure("the noise of force and velocity must be positive");
   if (starts < 1 || starts > 1000000) return failure("the number of starts must be between 1 and 1000000");
+  if (!(caution >= 0.0 && caution <= 1e3)) return failure("the caution must be between 0 and 1000");
   if (threads < 0) return failure("the number of threads must not be negative");
   if (!initial.allFinite() || !is_bounded(initial)) return failure("the initial state is not a possible one");
   if (std::abs(initial[1]) > limits.velocity_rad_s)
@@ -376,8 +412,12 @@ DesignSummary design_experiment(const DesignOptions& options) {
         "force or torque";
   }
   DesignProblem problem(options, 0.0);
-  for (std::size_t i = 0; i < std::min(kCertifications, search.feasible().size()); ++i) {
-    const Candidate& candidate = search.feasible()[i];
+  std::vector<const Candidate*> refused;
+  for (const Candidate& candidate : search.feasible()) {
+    if (refused.size() == kCertifications) break;
+    if (std::any_of(refused.begin(), refused.end(),
+                    [&](const Candidate* other) { return alike(*other, candidate, kSameDesign); }))
+      continue;
     problem.evaluate(candidate.x);
     std::vector<double> block_torque_Nm = candidate.x;
     for (double& torque : block_torque_Nm) torque *= options.limits.torque_Nm;
@@ -386,20 +426,21 @@ DesignSummary design_experiment(const DesignOptions& options) {
         certify(options.brake, options.initial, expand_blocks(block_torque_Nm, options.block_samples),
                 options.noise, options.limits, criterion.logdet);
     if (!certification.granted()) {
-      if (i == 0) {
+      if (refused.empty()) {
         summary.termination = DesignTermination::NotCertified;
         summary.message = fmt::format(
             "an independent simulation refuses every design found; of the best one it says: {}. Try another "
             "seed or more starts",
             certification.objection);
       }
+      refused.push_back(&candidate);
       continue;
     }
     summary.termination = DesignTermination::Certified;
-    summary.message =
-        i == 0 ? "certified by an independent simulation"
-               : fmt::format("certified by an independent simulation, which refused {} better one{}", i,
-                             i == 1 ? "" : "s");
+    summary.message = refused.empty()
+                          ? "certified by an independent simulation"
+                          : fmt::format("certified by an independent simulation, which refused {} other{}",
+                                        refused.size(), refused.size() == 1 ? "" : "s");
     summary.block_torque_Nm = std::move(block_torque_Nm);
     summary.criterion = criterion;
     summary.certification = std::move(certification);

@@ -56,7 +56,7 @@ SensitivitySweep::SensitivitySweep(const BrakeParameters& brake, const SensorNoi
       sensitivity_(static_cast<Eigen::Index>(2 * samples), kTorque) {
   scale_.head<kTorque>() = nominal_parameters().array();
   scale_[kTorque] = 1.0;
-  for (std::size_t i = 0; i < kParameterCount; ++i) theta_[i] = brake.theta[static_cast<Eigen::Index>(i)];
+  std::copy(brake.theta.begin(), brake.theta.end(), theta_.begin());
 }
 
 SensitivitySweep::Point SensitivitySweep::point_at(double position, double velocity, double torque_Nm,
@@ -329,7 +329,8 @@ void SensitivitySweep::back_step(const Step& step, Adjoint& adjoint) const {
   }
 }
 
-void SensitivitySweep::backward(const Rows& weights, std::span<double> gradient) {
+void SensitivitySweep::backward(const Rows& weights, const AmplificationTerm& term,
+                                std::span<double> gradient) const {
   Adjoint adjoint;
   for (std::size_t row = samples_; row-- > 1;) {
     const Step& sample = steps_[row];
@@ -346,15 +347,17 @@ void SensitivitySweep::backward(const Rows& weights, std::span<double> gradient)
     adjoint.position +=
         (weights(at, k1) * scale_[k1] * 3.0 * x * x + weights(at, k2) * scale_[k2] * 2.0 * x) /
         noise_.force_N;
+    if (row == term.row) adjoint.velocity_columns[kTorque] += term.weight;
     back_step(steps_[row - 1], adjoint);
     gradient[(row - 1) / block_samples_] += adjoint.torque;
   }
 }
 
-void SensitivitySweep::backward_amplification(std::size_t row, std::span<double> gradient) {
+void SensitivitySweep::backward_amplification(const AmplificationTerm& term,
+                                              std::span<double> gradient) const {
   Adjoint adjoint;
-  adjoint.velocity_columns[kTorque] = 1.0;
-  for (; row > 0; --row) {
+  adjoint.velocity_columns[kTorque] = term.weight;
+  for (std::size_t row = term.row; row > 0; --row) {
     back_step(steps_[row - 1], adjoint);
     gradient[(row - 1) / block_samples_] += adjoint.torque;
   }

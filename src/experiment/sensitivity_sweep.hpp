@@ -37,10 +37,16 @@ class SensitivitySweep {
   /// Change of the velocity per error common to all torques, rad/s per N m.
   double amplification(std::size_t row) const { return steps_[row].velocity[kTorque]; }
 
-  /// Adds d(sum over weights .* sensitivity) / d(block torque) per N m; `weights` as sensitivity().
-  void backward(const Rows& weights, std::span<double> gradient);
-  /// Adds d(amplification(row)) / d(block torque).
-  void backward_amplification(std::size_t row, std::span<double> gradient);
+  /// The amplification of one row in a functional.
+  struct AmplificationTerm {
+    std::size_t row;
+    double weight;
+  };
+  /// Adds d(sum over weights .* sensitivity + the term) / d(block torque) per N m; `weights` as
+  /// sensitivity().
+  void backward(const Rows& weights, const AmplificationTerm& term, std::span<double> gradient) const;
+  /// The same of the term alone.
+  void backward_amplification(const AmplificationTerm& term, std::span<double> gradient) const;
   /// Derivatives of force and velocity of a row by the torque of each block; zero for later blocks.
   void output_gradients(std::size_t row, std::span<double> force, std::span<double> velocity) const;
 

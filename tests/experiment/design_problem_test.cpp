@@ -20,6 +20,7 @@ DesignOptions options_for(Objective objective) {
   options.samples = 200;
   options.objective = objective;
   options.limits.end_velocity_rad_s = 5.0;
+  options.limits.amplification_rad_s_Nm = 100.0;
   return options;
 }
 
@@ -65,6 +66,41 @@ TEST(DesignProblem, GradientsAreTheDerivatives) {
           << to_string(objective) << ", block " << block;
     }
   }
+}
+
+TEST(DesignProblem, GradientsGoThroughStickAndReversal) {
+  // Ends at rest under load after a reversal; creeps towards it.
+  DesignOptions options;
+  DesignProblem problem(options, 0.0);
+  const std::vector<double> x = shares({0.305, 2.993, 1.424, 0.315, 0.441, 0.534, 0.802, -2.748, 0.824, 1.492,
+                                        1.563, -0.472, -0.202, -0.103, 0.011},
+                                       options.limits.torque_Nm);
+  problem.differentiate(x);
+  const Eigen::VectorXd gradient = problem.objective_gradient();
+  for (std::size_t block = 0; block < x.size(); ++block) {
+    const double step = 1e-7;
+    std::vector<double> moved = x;
+    moved[block] = x[block] + step;
+    problem.evaluate(moved);
+    const double above = problem.objective();
+    moved[block] = x[block] - step;
+    problem.evaluate(moved);
+    EXPECT_NEAR((above - problem.objective()) / (2.0 * step), gradient[static_cast<Eigen::Index>(block)],
+                1e-4 * gradient.norm())
+        << "block " << block;
+  }
+}
+
+TEST(DesignProblem, TellsWhatIsSteady) {
+  const DesignOptions options;
+  DesignProblem problem(options, 0.0);
+  const auto steady = [&](std::vector<double> blocks_Nm) {
+    for (double& torque : blocks_Nm) torque /= options.limits.torque_Nm;
+    return problem.is_steady(blocks_Nm);
+  };
+  EXPECT_TRUE(
+      steady({0.392, 3.000, 1.370, 0.298, 0.437, 0.577, 0.771, -2.942, 1.145, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0}));
+  EXPECT_FALSE(steady(testing::kCreepingBlocks_Nm));
 }
 
 TEST(DesignProblem, RandomTailsKeepTheLimitsAndTheBeginning) {

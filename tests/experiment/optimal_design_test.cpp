@@ -60,6 +60,15 @@ TEST(OptimalDesign, ReachesTheKnownOptimumOf200Samples) {
   EXPECT_LE(summary.criterion.logdet, -68.2);
 }
 
+TEST(OptimalDesign, ReachesWhatTheProductPromisesAt300Samples) {
+  const DesignOptions options;
+  const DesignSummary summary = design_experiment(options);
+  expect_sound(options, summary);
+  EXPECT_LE(summary.criterion.logdet, -85.5);
+  EXPECT_LE(summary.certification.criterion.logdet, -85.5);
+  EXPECT_LE(summary.certification.amplification_rad_s_Nm, 4e5);
+}
+
 TEST(OptimalDesign, DoesNotDependOnThreads) {
   DesignOptions options = short_options(100, 8);
   options.seed = 5;
@@ -137,6 +146,7 @@ TEST(OptimalDesign, RefusesImpossibleOptions) {
   EXPECT_TRUE(refuses([](DesignOptions& o) { o.limits.amplification_rad_s_Nm = 0.0; }));
   EXPECT_TRUE(refuses([](DesignOptions& o) { o.noise.force_N = 0.0; }));
   EXPECT_TRUE(refuses([](DesignOptions& o) { o.starts = 0; }));
+  EXPECT_TRUE(refuses([](DesignOptions& o) { o.caution = -1.0; }));
   EXPECT_TRUE(refuses([](DesignOptions& o) { o.threads = -1; }));
   EXPECT_TRUE(refuses([](DesignOptions& o) { o.initial = {kNaN, 0.0}; }));
   EXPECT_TRUE(refuses([](DesignOptions& o) { o.initial = {0.0, 301.0}; }));

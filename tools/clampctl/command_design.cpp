@@ -71,6 +71,7 @@ nlohmann::ordered_json design_json(const DesignOptions& design, const DesignSumm
           {"wall_s", summary.wall_s},
           {"seed", design.seed},
           {"starts", design.starts},
+          {"caution", design.caution},
           {"noise", {{"force_N", design.noise.force_N}, {"velocity_rad_s", design.noise.velocity_rad_s}}},
           {"initial", {{"position_rad", design.initial[0]}, {"velocity_rad_s", design.initial[1]}}},
           {"certification",
@@ -78,6 +79,7 @@ nlohmann::ordered_json design_json(const DesignOptions& design, const DesignSumm
             {"trace_inverse", certification.criterion.trace_inverse},
             {"end_velocity_rad_s", certification.end_velocity_rad_s},
             {"amplification_rad_s_Nm", certification.amplification_rad_s_Nm},
+            {"coarse_logdet", certification.coarse_logdet},
             {"force_difference_N", certification.force_difference_N},
             {"velocity_difference_rad_s", certification.velocity_difference_rad_s}}}};
 }
@@ -115,8 +117,15 @@ void print_summary(const DesignOptions& design, const DesignSummary& summary) {
   fmt::print("  speed, largest   {:>10.2f} rad/s    limit {:g}\n", certification.velocity_max_rad_s,
              design.limits.velocity_rad_s);
   fmt::print("  speed at the end {:>10.2f} rad/s\n", certification.end_velocity_rad_s);
-  fmt::print("  1 mN m of torque error moves the velocity by up to {:.2f} rad/s\n\n",
-             1e-3 * certification.amplification_rad_s_Nm);
+  fmt::print(
+      "  Fragility: 1 mN m of torque error moves the velocity by up to {:.3g} rad/s; over parameter changes\n"
+      "  of {:g} of nominal -log det M is {:.3f}.\n",
+      1e-3 * certification.amplification_rad_s_Nm, kFragilityStep, certification.coarse_logdet);
+  if (certification.amplification_rad_s_Nm > kEasyAmplification_rad_s_Nm)
+    fmt::print(
+        "  It is the optimum of the nominal brake and of exact torques. On a real one, run a robust design:\n"
+        "  --objective robust\n");
+  fmt::print("\n");
   fmt::print("  {} ({} starts, {:.1f} s)\n", summary.message, design.starts, summary.wall_s);
 }
 
@@ -165,11 +174,12 @@ void add_design_command(CLI::App& app, int& exit_code) {
       ->capture_default_str();
   command->add_option("--end-speed-limit", limits.end_velocity_rad_s,
                       "rad/s, at the last sample (default: none)");
+  command->add_option("--amplification-limit", limits.amplification_rad_s_Nm,
+                      "rad/s per N m: how far a constant torque error may move the velocity (default: none)");
   command
-      ->add_option(
-          "--amplification-limit", limits.amplification_rad_s_Nm,
-          "rad/s per N m: how far a constant torque error may move the velocity; inf for none, which "
-          "finds better figures that hold for exact torques only")
+      ->add_option("--caution", design_options.caution,
+                   "price of the amplification: more finds designs that hang less on exact torques, 0 the "
+                   "nominal optimum")
       ->capture_default_str();
   command->add_option("--noise-force", design_options.noise.force_N, "N, standard deviation of the reading")
       ->capture_default_str();
