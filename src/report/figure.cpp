@@ -148,6 +148,7 @@ std::string script_of(const Figure& figure) {
   std::string data;
   std::string commands = fmt::format(
       "set encoding utf8\n"
+      "set minussign\n"
       "set terminal svg size {},{} dynamic noenhanced rounded font 'sans-serif,{}'\n"
       "set border 3 lc rgb '#555555'\n"
       "set tics nomirror textcolor rgb '#222222'\n"

@@ -43,13 +43,31 @@ ColumnFigures figures_of(const Column& column) {
   return figures;
 }
 
-/// rms over the estimates of theta / theta_nom minus the truth.
-ParameterVector rms_error(const Column& column) {
-  ParameterVector squares = ParameterVector::Zero();
-  for (const Estimate& estimate : column.estimates)
-    squares +=
-        (estimate.parameters.theta.cwiseQuotient(nominal_parameters()) - truth_normalised()).cwiseAbs2();
-  return (squares / static_cast<double>(column.estimates.size())).cwiseSqrt();
+/// Median over the estimates of the distance of theta / theta_nom from the truth: some fits end anywhere.
+ParameterVector median_error(const Column& column) {
+  ParameterVector medians = ParameterVector::Constant(kNan);
+  if (column.estimates.empty()) return medians;
+  for (Eigen::Index i = 0; i < medians.size(); ++i) {
+    std::vector<double> errors;
+    for (const Estimate& estimate : column.estimates)
+      errors.push_back(std::abs(estimate.parameters.theta[i] - true_brake().theta[i]));
+    const auto middle = errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2);
+    std::nth_element(errors.begin(), middle, errors.end());
+    medians[i] = *middle;
+  }
+  return medians;
+}
+
+/// Area of the confidence regions of a over those of b.
+double area_ratio(const Column& a, const Column& b) {
+  const auto area = [](const ParameterMatrix& c, Parameter first, Parameter second) {
+    const auto i = static_cast<Eigen::Index>(first), j = static_cast<Eigen::Index>(second);
+    return std::sqrt(c(i, i) * c(j, j) - c(i, j) * c(i, j));
+  };
+  double product = 1.0;
+  for (const auto& [first, second] : kFigure5_pairs)
+    product *= area(a.covariance, first, second) / area(b.covariance, first, second);
+  return std::pow(product, 1.0 / static_cast<double>(kFigure5_pairs.size()));
 }
 
 Rest rest_of(const std::vector<double>& velocity_rad_s) {
@@ -144,6 +162,8 @@ void judge_table(const Study& study, Findings& findings) {
   findings.methods_mean_distance = (study.oem_optimal.mean - study.pem_optimal.mean).cwiseAbs().maxCoeff();
   findings.design_variance_ratio =
       geometric_mean_ratio(study.oem_step.covariance.diagonal(), study.oem_optimal.covariance.diagonal());
+  findings.methods_area_ratio = area_ratio(study.oem_optimal, study.pem_optimal);
+  findings.design_area_ratio = area_ratio(study.oem_step, study.oem_optimal);
   findings.design_bound_ratio =
       geometric_mean_ratio(study.oem_step.bound.diagonal(), study.oem_optimal.bound.diagonal());
   findings.torque_noise_loss =
@@ -159,8 +179,8 @@ void judge_filter(const Study& study, Findings& findings) {
   const std::vector<sim::Truth>& truth = study.sinusoid.runs[study.shown_repeat].truth;
   const Band& force = study.kalman.filtered.force_N;
   const Band& velocity = study.kalman.filtered.velocity_rad_s;
-  double force_squares = 0.0, velocity_squares = 0.0, crossing = 0.0, moving = 0.0;
-  int crossing_rows = 0, moving_rows = 0;
+  double force_squares = 0.0, velocity_squares = 0.0, moving = 0.0;
+  int moving_rows = 0;
   for (std::size_t k = kSinusoidBegin; k < kSinusoidEnd; ++k) {
     const double force_error = force.mean[k] - truth[k].force_N;
     const double velocity_error = velocity.mean[k] - truth[k].velocity_rad_s;
@@ -169,10 +189,9 @@ void judge_filter(const Study& study, Findings& findings) {
     velocity_squares += velocity_error * velocity_error;
     if (std::abs(force_error) <= 2.0 * force.sd[k]) findings.covered_force += 1.0;
     if (std::abs(velocity_error) <= 2.0 * velocity.sd[k]) findings.covered_velocity += 1.0;
-    if (std::abs(truth[k].velocity_rad_s) < 2.0) {
-      crossing += velocity.sd[k];
-      ++crossing_rows;
-    } else if (std::abs(truth[k].velocity_rad_s) > 10.0) {
+    if (std::abs(truth[k].velocity_rad_s) < 20.0) {
+      findings.velocity_sd_crossing_rad_s = std::max(findings.velocity_sd_crossing_rad_s, velocity.sd[k]);
+    } else {
       moving += velocity.sd[k];
       ++moving_rows;
     }
@@ -183,8 +202,11 @@ void judge_filter(const Study& study, Findings& findings) {
   findings.filter_velocity_error_rad_s = std::sqrt(velocity_squares / rows);
   findings.covered_force /= rows;
   findings.covered_velocity /= rows;
-  findings.velocity_sd_crossing_rad_s = crossing / crossing_rows;
   findings.velocity_sd_moving_rad_s = moving / moving_rows;
+  // It starts at rest, hence a little later.
+  std::size_t crossing = kSinusoidBegin + 50;
+  while (crossing < kSinusoidEnd && truth[crossing].velocity_rad_s > 0.0) ++crossing;
+  findings.crossing_s = static_cast<double>(crossing) * kLargestStep_s;
 }
 
 }  // namespace
@@ -220,7 +242,7 @@ Findings findings_of(const Study& study) {
   findings.shown_rest =
       rest_of(study.sinusoid_replays.front().repeats[study.shown_repeat].simulation.velocity_rad_s);
   findings.sinusoid_error_ratio =
-      geometric_mean_ratio(rms_error(study.oem_sinusoid), rms_error(study.pem_sinusoid));
+      geometric_mean_ratio(median_error(study.oem_sinusoid), median_error(study.pem_sinusoid));
   judge_filter(study, findings);
   return findings;
 }

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <utility>
 #include <vector>
 
 #include "tools/reproduce/study.hpp"
@@ -39,6 +40,10 @@ struct ReplayFigures {
   double worst_force_rms_N = 0.0;
 };
 
+/// The pairs of Fig. 5.
+inline constexpr std::array<std::pair<Parameter, Parameter>, 4> kFigure5_pairs{
+    {{k1, k2}, {TC, Tv}, {Ts0, mus}, {ws, TC}}};
+
 /// The lengths of Fig. 1.
 inline constexpr std::array<std::size_t, 4> kFigure1_samples{100, 200, 300, 400};
 
@@ -72,6 +77,8 @@ struct Findings {
   double methods_variance_ratio = 0.0;  ///< OEM over PEM, geometric mean
   double methods_mean_distance = 0.0;   ///< largest |mean OEM - mean PEM|
   double design_variance_ratio = 0.0;   ///< OEM: step over optimal, geometric mean
+  double methods_area_ratio = 0.0;      ///< of Fig. 5's regions, OEM over PEM, geometric mean
+  double design_area_ratio = 0.0;       ///< the same, OEM of the step over OEM of the optimal experiment
   double design_bound_ratio = 0.0;      ///< the same of the bounds
   double torque_noise_loss = 0.0;     ///< bound with torque noise over bound without, optimal, geometric mean
   double time_ratio = 0.0;            ///< PEM over OEM
@@ -80,12 +87,14 @@ struct Findings {
   double brake_longest_rest_s = 0.0;   ///< of any repeat, between approach and release
   std::vector<ReplayFigures> replays;  ///< as sinusoid_replays
   Rest shown_rest;                     ///< the longest of OEM's simulation in the shown repeat
-  double sinusoid_error_ratio = 0.0;   ///< parameters from sinusoids, rms error OEM over PEM, geometric mean
-  double filter_force_sd_N = 0.0;      ///< mean half band
-  double filter_force_error_N = 0.0;   ///< rms of filtered minus true
+  double sinusoid_error_ratio =
+      0.0;                         ///< parameters from sinusoids, median error OEM over PEM, geometric mean
+  double filter_force_sd_N = 0.0;  ///< mean half band
+  double filter_force_error_N = 0.0;  ///< rms of filtered minus true
   double filter_velocity_error_rad_s = 0.0;
-  double velocity_sd_crossing_rad_s = 0.0;  ///< mean where the brake is slower than 2 rad/s
-  double velocity_sd_moving_rad_s = 0.0;    ///< where it is faster than 10 rad/s
+  double velocity_sd_crossing_rad_s = 0.0;  ///< largest where the brake is slower than 20 rad/s
+  double velocity_sd_moving_rad_s = 0.0;    ///< mean where it is faster
+  double crossing_s = 0.0;                  ///< the true velocity's first zero crossing
   double covered_force = 0.0;               ///< share of rows whose truth is within two standard deviations
   double covered_velocity = 0.0;
   double repeat_s = 0.0;  ///< bench time of one repeat, all told

@@ -81,7 +81,9 @@ Design design(const StudyOptions& study, std::size_t samples, Objective objectiv
   options.noise = kDesignNoise;
   options.limits = limits;
   options.seed = study.seed;
-  options.starts = study.starts;
+  // Longer experiments have more local optima.
+  const double share = static_cast<double>(samples) / static_cast<double>(kDesignLength_samples);
+  options.starts = std::max(1, static_cast<int>(std::lround(study.starts * share)));
   Design result;
   result.samples = samples;
   result.summary = design_experiment(options);
@@ -158,18 +160,18 @@ void compute_scatter(Column& column) {
   }
 }
 
-Column estimate_each(std::string name, Estimator estimator, const Experiment& experiment,
-                     Progress& progress) {
+enum class Keep { Converged, Finite };
+
+Column estimate_each(std::string name, Estimator estimator, const Experiment& experiment, Progress& progress,
+                     Keep keep = Keep::Converged) {
   Column column;
   column.name = std::move(name);
   std::vector<double> walls_s;
   for (std::size_t i = 0; i < experiment.runs.size(); ++i) {
     progress.update(static_cast<double>(i) / static_cast<double>(experiment.runs.size()));
     Estimate estimate = estimator(std::span(&experiment.runs[i].readings, 1), EstimatorOptions{});
-    if (!estimate.converged()) {
-      ++column.failed;
-      continue;
-    }
+    if (!estimate.converged()) ++column.failed;
+    if (keep == Keep::Converged ? !estimate.converged() : !estimate.parameters.theta.allFinite()) continue;
     walls_s.push_back(estimate.wall_s);
     column.estimates.push_back(std::move(estimate));
   }
@@ -308,8 +310,10 @@ Result<void> compute_validation(Study& study, Progress& progress) {
   study.kalman = kalman_views(
       shown, pem, start_of(shown),
       {{study.pooled.noise_force_N, study.pooled.noise_velocity_rad_s}, study.pooled.noise_torque_Nm});
-  study.oem_sinusoid = estimate_each("OEM, sinusoid", identify_output_error, study.sinusoid, progress);
-  study.pem_sinusoid = estimate_each("PEM, sinusoid", identify_prediction_error, study.sinusoid, progress);
+  study.oem_sinusoid =
+      estimate_each("OEM, sinusoid", identify_output_error, study.sinusoid, progress, Keep::Finite);
+  study.pem_sinusoid =
+      estimate_each("PEM, sinusoid", identify_prediction_error, study.sinusoid, progress, Keep::Finite);
   return {};
 }
 

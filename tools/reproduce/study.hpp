@@ -31,7 +31,7 @@ inline constexpr double kBenchAmplification_rad_s_Nm = 3e3;
 struct StudyOptions {
   std::uint64_t seed = 1;
   std::uint16_t repeats = 20;  ///< of each experiment; at least 3
-  int starts = 240;            ///< local searches a design
+  int starts = 240;            ///< local searches for a design of 0.3 s; others in proportion to their length
   /// Called from the calling thread: share of the work done, and what is being done.
   std::function<void(double fraction, std::string_view stage)> progress;
 
@@ -61,7 +61,7 @@ struct Experiment {
 /// One column of Table II: every repeat estimated alone.
 struct Column {
   std::string name;
-  std::vector<Estimate> estimates;  ///< that converged
+  std::vector<Estimate> estimates;  ///< that converged; of the sinusoids, all that gave numbers
   std::size_t failed = 0;
   ParameterVector mean;         ///< of theta / theta_nom over the repeats
   ParameterMatrix covariance;   ///< the same
