@@ -62,7 +62,7 @@ void add_design_claims(const Study& study, const Findings& f, std::vector<Claim>
 void add_table_claims(const Study& study, const Findings& f, std::vector<Claim>& claims) {
   claims.push_back(
       judged("Table II", "OEM and PEM find closely matching means.",
-             fmt::format("They differ by at most {:.3f} of nominal (the paper's by {:.3f}).",
+             fmt::format("They differ by at most {:.3f} of nominal (the paper's own by {:.3f}).",
                          f.methods_mean_distance, mean_distance(kPaperOemOptimal, kPaperPemOptimal)),
              f.methods_mean_distance <= mean_distance(kPaperOemOptimal, kPaperPemOptimal)));
   claims.push_back(

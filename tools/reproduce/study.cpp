@@ -83,7 +83,9 @@ Design design(const StudyOptions& study, std::size_t samples, Objective objectiv
   options.seed = study.seed;
   // Longer experiments have more local optima.
   const double share = static_cast<double>(samples) / static_cast<double>(kDesignLength_samples);
-  options.starts = std::max(1, static_cast<int>(std::lround(study.starts * share)));
+  // A-optimal experiments are the easier ones to find.
+  const double ease = objective == Objective::D ? 1.0 : 0.5;
+  options.starts = std::max(1, static_cast<int>(std::lround(study.starts * share * ease)));
   Design result;
   result.samples = samples;
   result.summary = design_experiment(options);
