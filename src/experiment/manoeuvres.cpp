@@ -142,13 +142,17 @@ Result<Run> make_manoeuvre(std::string_view name, const BrakeParameters& nominal
     return failure(fmt::format("unknown manoeuvre '{}'; known are: {}", name, fmt::join(names, ", ")));
   }
   if (found->segments.empty()) return optimal;
+  return follow_segments(name, found->segments, nominal);
+}
 
+Result<Run> follow_segments(std::string_view name, std::span<const ManoeuvreSegment> segments,
+                            const BrakeParameters& nominal) {
   const PaperBrake brake = paper_brake(nominal);
-  const std::vector<double> wanted_rad = plan_positions(found->segments, brake.stiffness());
+  const std::vector<double> wanted_rad = plan_positions(segments, brake.stiffness());
   if (!std::all_of(wanted_rad.begin(), wanted_rad.end(), [](double x) { return std::isfinite(x); }))
     return failure(fmt::format("manoeuvre {}: the nominal brake cannot reach its forces", name));
   Run run;
-  run.name = found->name;
+  run.name = name;
   BrakeState state = BrakeState::Zero();
   for (std::size_t k = 0; k < wanted_rad.size(); ++k) {
     const std::size_t next = std::min(k + 1, wanted_rad.size() - 1);

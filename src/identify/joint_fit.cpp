@@ -110,11 +110,16 @@ void JointFit::use_output_errors(const Variances& variances) {
   const bool rows_hold = !innovations_ && possible_;
   variances_ = variances;
   innovations_ = false;
-  restore_output_error_gains();
+  set_output_error_gains();
   if (rows_hold)
     weigh();
   else
     invalidate();
+}
+
+void JointFit::restore_output_errors() {
+  set_output_error_gains();
+  weigh();
 }
 
 void JointFit::weigh() const {
@@ -124,7 +129,7 @@ void JointFit::weigh() const {
   }
 }
 
-void JointFit::restore_output_error_gains() {
+void JointFit::set_output_error_gains() {
   for (std::size_t r = 0; r < runs_.size(); ++r) ignore_torque_noise(variances_, weights_[r], linear_[r]);
 }
 

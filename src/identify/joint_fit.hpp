@@ -39,7 +39,7 @@ class JointFit {
   /// Open-loop from here on, readings weighted with R.
   void use_output_errors(const Variances& variances);
   /// After something else used the runs' gains; the last evaluation stays valid.
-  void restore_output_error_gains();
+  void restore_output_errors();
   /// Innovations from here on, with the gains of extended Kalman filters at these unknowns. False, and nothing
   /// changed for good, if a filter diverges there.
   bool use_innovations(const Eigen::VectorXd& unknowns, const Variances& variances);
@@ -73,6 +73,7 @@ class JointFit {
  private:
   bool evaluate(const double* unknowns) const;
   void weigh() const;
+  void set_output_error_gains();
   void invalidate() {
     evaluated_.setConstant(std::numeric_limits<double>::quiet_NaN());
     possible_ = false;

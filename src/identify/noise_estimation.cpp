@@ -1,6 +1,7 @@
 #include "src/identify/noise_estimation.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include <Eigen/Cholesky>
@@ -14,12 +15,20 @@ namespace {
 /// A gain in likelihood that no longer matters: a step of a twentieth of the variances' own uncertainty.
 constexpr double kDecrement = 2.5e-3;
 
+constexpr int kMostHalvings = 6;
+
+/// A faint pull of the torque's variance away from zero, as by a prior proportional to its power: where the
+/// data hardly tell it, the likelihood's maximum is at zero in half of all cases, and the parameters'
+/// uncertainty would then be many times too small. Where they tell it, this does not show.
+constexpr double kAwayFromZero = 0.1;
+
 constexpr double kTorqueNoiseStart_Nm = 1e-2;
 
 
+/// Of each variance. Torque noise of 0.01 mN m moves nothing.
 double smallest(int i) {
-  const double deviation = i == 0 ? kSmallestNoise.force_N : kSmallestNoise.velocity_rad_s;
-  return i == 2 ? 0.0 : deviation * deviation;
+  constexpr double kDeviations[3] = {kSmallestNoise.force_N, kSmallestNoise.velocity_rad_s, 1e-5};
+  return kDeviations[i] * kDeviations[i];
 }
 
 Eigen::Vector3d vector_of(const Variances& variances) {
@@ -98,28 +107,62 @@ LikelihoodSlopes restricted_likelihood_slopes(std::span<LinearRun> runs,
   return slopes;
 }
 
-NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeights> weights,
-                        std::span<const Eigen::Vector2d> prior_distances, const Held& held,
-                        const Variances& start, const KnownVariances& known, int max_iterations) {
-  const bool fixed[3] = {known.force, known.velocity, known.torque};
-  std::vector<Normal> normals(runs.size());
-  const auto criterion = [&](const Eigen::Vector3d& values) {
-    return restricted_likelihood(runs, weights, prior_distances, held, variances_from(values), normals);
-  };
-  Eigen::Vector3d values = vector_of(start);
-  for (int i = 0; i < 3; ++i)
-    if (!fixed[i]) values[i] = std::max(values[i], smallest(i));
-  NoiseFit fit;
-  fit.criterion = criterion(values);
-  bool settled = known.force && known.velocity && known.torque;
-  for (; fit.iterations < max_iterations && !settled; ++fit.iterations) {
-    // The gains are those of `values` here.
-    const auto [gradient, information] = restricted_likelihood_slopes(runs, weights, normals, held);
-    // Scoring on those variances that may move: not known, and not at zero with the likelihood pushing on.
-    Eigen::Vector3d scale = information.diagonal().cwiseMax(0.0).cwiseSqrt();
+namespace {
+
+/// The linearised runs as a function of the three variances.
+class RestrictedLikelihood {
+ public:
+  RestrictedLikelihood(std::span<LinearRun> runs, std::span<const ReadingWeights> weights,
+                       std::span<const Eigen::Vector2d> prior_distances, const Held& held,
+                       bool torque_known)
+      : runs_(runs),
+        weights_(weights),
+        prior_distances_(prior_distances),
+        held_(held),
+        away_from_zero_(torque_known ? 0.0 : kAwayFromZero),
+        normals_(runs.size()) {}
+
+  double operator()(const Eigen::Vector3d& variances) {
+    variances_ = variances;
+    const double likelihood = restricted_likelihood(runs_, weights_, prior_distances_, held_,
+                                                    variances_from(variances), normals_);
+    return away_from_zero_ > 0.0 ? likelihood - away_from_zero_ * std::log(variances[2]) : likelihood;
+  }
+
+  /// At the point evaluated last.
+  LikelihoodSlopes slopes() {
+    LikelihoodSlopes slopes = restricted_likelihood_slopes(runs_, weights_, normals_, held_);
+    if (away_from_zero_ > 0.0) {
+      slopes.gradient[2] -= away_from_zero_ / variances_[2];
+      slopes.information(2, 2) += away_from_zero_ / (variances_[2] * variances_[2]);
+    }
+    return slopes;
+  }
+
+ private:
+  std::span<LinearRun> runs_;
+  std::span<const ReadingWeights> weights_;
+  std::span<const Eigen::Vector2d> prior_distances_;
+  const Held& held_;
+  double away_from_zero_;
+  Eigen::Vector3d variances_ = Eigen::Vector3d::Zero();
+  std::vector<Normal> normals_;
+};
+
+/// Scoring from `values`, which end at the minimum; gives back the criterion there, where the runs' gains then
+/// are.
+double minimise(RestrictedLikelihood& likelihood, const std::array<bool, 3>& fixed, int max_iterations,
+                Eigen::Vector3d& values) {
+  double criterion = likelihood(values);
+  bool at_values = true;
+  bool settled = false;
+  for (int iteration = 0; iteration < max_iterations && !settled; ++iteration) {
+    const auto [gradient, information] = likelihood.slopes();
+    // Only those variances that may move: not known, and not at zero with the likelihood pushing on.
+    const Eigen::Vector3d scale = information.diagonal().cwiseMax(0.0).cwiseSqrt();
     Eigen::Matrix3d scaled = Eigen::Matrix3d::Identity();
     Eigen::Vector3d right = Eigen::Vector3d::Zero();
-    bool free[3];
+    std::array<bool, 3> free{};
     for (int i = 0; i < 3; ++i)
       free[i] = !fixed[i] && scale[i] > 0.0 && !(values[i] <= smallest(i) && gradient[i] > 0.0);
     for (int i = 0; i < 3; ++i) {
@@ -130,29 +173,39 @@ NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeight
     }
     const Eigen::Vector3d direction = scaled.ldlt().solve(right);
     settled = direction.dot(right) < kDecrement;
+    if (settled) break;
     double length = 1.0;
-    bool improved = false;
-    for (int halving = 0; halving < 6; ++halving, length *= 0.5) {
+    for (int halving = 0; halving < kMostHalvings; ++halving, length *= 0.5) {
       Eigen::Vector3d next = values;
       for (int i = 0; i < 3; ++i) {
         if (!free[i]) continue;
-        const double step = length * direction[i] / scale[i];
-        next[i] = i == 2 ? std::max(0.0, std::min(values[i] + step, 10.0 * values[i] + 1.0 / scale[i]))
-                         : std::clamp(values[i] + step, std::max(0.25 * values[i], smallest(i)), 16.0 * values[i]);
+        const double moved = values[i] + length * direction[i] / scale[i];
+        next[i] = std::clamp(moved, std::max(0.1 * values[i], smallest(i)), 16.0 * values[i]);
       }
-      const double reached = criterion(next);
-      if (!(reached <= fit.criterion)) continue;
+      const double reached = likelihood(next);
+      at_values = reached <= criterion;
+      if (!at_values) continue;
       values = next;
-      fit.criterion = reached;
-      improved = true;
+      criterion = reached;
       break;
     }
-    if (!improved) break;
+    if (!at_values) break;
   }
-  // Leaves the gains of the result, whatever was tried last.
-  fit.criterion = criterion(values);
-  fit.variances = variances_from(values);
-  return fit;
+  return at_values ? criterion : likelihood(values);
+}
+
+}  // namespace
+
+NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeights> weights,
+                        std::span<const Eigen::Vector2d> prior_distances, const Held& held,
+                        const Variances& start, const KnownVariances& known, int max_iterations) {
+  RestrictedLikelihood likelihood(runs, weights, prior_distances, held, known.torque);
+  const std::array<bool, 3> fixed{known.force, known.velocity, known.torque};
+  Eigen::Vector3d values = vector_of(start);
+  for (int i = 0; i < 3; ++i)
+    if (!fixed[i]) values[i] = std::max(values[i], smallest(i));
+  const double criterion = minimise(likelihood, fixed, max_iterations, values);
+  return {variances_from(values), criterion};
 }
 
 Variances noise_of_output_errors(JointFit& fit, const EstimatorOptions& options) {
@@ -163,7 +216,7 @@ Variances noise_of_output_errors(JointFit& fit, const EstimatorOptions& options)
                                          : kTorqueNoiseStart_Nm * kTorqueNoiseStart_Nm;
   const NoiseFit found = estimate_noise(fit.linear_runs(), fit.weights(), fit.prior_distances(), options.held,
                                         start, known, kScoringIterations);
-  fit.restore_output_error_gains();
+  fit.restore_output_errors();
   return found.variances;
 }
 
