@@ -24,9 +24,9 @@ struct ReproduceOptions {
 };
 
 Result<void> prepare(const ReproduceOptions& options) {
-  if (const Result<void> valid = options.study.validate(); !valid) return valid;
+  if (Result<void> valid = options.study.validate(); !valid) return valid;
   for (const std::string* path : {&options.out, &options.json})
-    if (const Result<void> writable = cli::check_writable(*path); !writable) return writable;
+    if (Result<void> writable = cli::check_writable(*path); !writable) return writable;
   if (options.out.empty() || options.out == "-") return failure("--out needs the name of a file");
   if (options.out == options.json) return failure("--json and --out name the same file");
   return report::can_draw();

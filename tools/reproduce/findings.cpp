@@ -83,6 +83,7 @@ Rest rest_of(const std::vector<double>& velocity_rad_s) {
 
 Rest rest_of(const std::vector<sim::Truth>& truth) {
   std::vector<double> velocity_rad_s;
+  velocity_rad_s.reserve(truth.size());
   for (const sim::Truth& at : truth) velocity_rad_s.push_back(at.velocity_rad_s);
   return rest_of(velocity_rad_s);
 }

@@ -57,6 +57,15 @@ std::string signed_number(std::string text) {
   return text;
 }
 
+/// Of the parameter, with typographic exponents.
+std::string unit_of(std::size_t parameter) {
+  std::string unit(kParameterTable[parameter].unit);
+  for (const auto& [plain, raised] : {std::pair<std::string_view, std::string_view>{"^2", "²"}, {"^3", "³"}})
+    if (const std::size_t at = unit.find(plain); at != std::string::npos)
+      unit.replace(at, plain.size(), raised);
+  return unit;
+}
+
 Curve level(double value, double from, double to) {
   return {.x = {from, to},
           .y = {value, value},
@@ -125,7 +134,7 @@ void add_conditions(Page& page) {
       .columns = {{"Parameter"}, {"Unit"}, {"Nominal (Table I)", true}, {"True here, of nominal", true}}};
   const ParameterVector truth = true_brake().theta.cwiseQuotient(nominal_parameters());
   for (std::size_t i = 0; i < kParameterCount; ++i)
-    table.rows.push_back({kSymbols[i], std::string(kParameterTable[i].unit),
+    table.rows.push_back({kSymbols[i], unit_of(i),
                           signed_number(fmt::format("{:.3g}", kParameterTable[i].nominal)),
                           fmt::format("{:.3f}", truth[static_cast<Eigen::Index>(i)])});
   page.table(table);
@@ -264,16 +273,17 @@ Result<void> add_figure_4(Page& page, const Study& study) {
                           .layers = {Curve{.x = run.readings.time_s, .y = kilo(run.readings.force_N)}}};
   }
   if (auto drawn =
-          page.figure({.panels = {panels.begin(), panels.end()}, .columns = 2, .panel_height_px = 200},
+          page.figure({.panels = {panels.begin(), panels.end()}, .columns = 2, .panel_height_px = 235},
                       "The readings of the first repeat of both experiments, 0.3 s each.");
       !drawn)
     return drawn;
   page.definitions({
       {"The paper", "Shows one repeat of the optimal and of a non-optimal experiment of the same length."},
       {"Here",
-       fmt::format("The optimal experiment is D-optimal within {:.0f} % of the limits, −log det M = {:.2f}. "
+       fmt::format("The optimal experiment is D-optimal within {:.0f} % of the limits, −log det M = {}. "
                    "Driven by the controller, the true brake reached {:.1f} kN and {:.0f} rad/s in it.",
-                   100.0 * kHeadroom, study.tracked.summary.criterion.logdet,
+                   100.0 * kHeadroom,
+                   signed_number(fmt::format("{:.2f}", study.tracked.summary.criterion.logdet)),
                    1e-3 * study.optimal.force_max_N, study.optimal.speed_max_rad_s)},
       {"Why not the one of Fig. 1",
        fmt::format(
@@ -294,8 +304,9 @@ void add_table_2(Page& page, const Study& study, const Findings& f) {
        {&study.oem_step, &kPaperOemStep}}};
   const ParameterVector truth = true_brake().theta.cwiseQuotient(nominal_parameters());
   for (const auto& [column, paper] : columns) {
-    Table table{.caption = fmt::format("{}: {} of {} repeats, each estimated alone.", column->name,
-                                       column->estimates.size(), column->estimates.size() + column->failed),
+    Table table{.caption = fmt::format(
+                    "{}: {} of {} repeats, each estimated alone. Variances and bounds in 10⁻⁴.", column->name,
+                    column->estimates.size(), column->estimates.size() + column->failed),
                 .columns = {{"Parameter"},
                             {"True", true},
                             {"Mean", true},
@@ -308,9 +319,10 @@ void add_table_2(Page& page, const Study& study, const Findings& f) {
       const auto k = static_cast<Eigen::Index>(i);
       table.rows.push_back(
           {kSymbols[i], fmt::format("{:.3f}", truth[k]), fmt::format("{:.3f}", column->mean[k]),
-           fmt::format("{:.6f}", column->covariance(k, k)), fmt::format("{:.6f}", column->bound(k, k)),
-           fmt::format("{:.6f}", column->bound_exact(k, k)), fmt::format("{:.3f}", paper->mean[i]),
-           fmt::format("{:.5f}", paper->variance[i])});
+           fmt::format("{:.3f}", 1e4 * column->covariance(k, k)),
+           fmt::format("{:.3f}", 1e4 * column->bound(k, k)),
+           fmt::format("{:.3f}", 1e4 * column->bound_exact(k, k)), fmt::format("{:.3f}", paper->mean[i]),
+           fmt::format("{:.1f}", 1e4 * paper->variance[i])});
     }
     page.table(table);
   }
@@ -423,7 +435,7 @@ Result<void> add_figure_5(Page& page, const Study& study, const Findings& f) {
   const auto correlation = [](const Column& column, Parameter a, Parameter b) {
     const ParameterMatrix& c = column.covariance;
     const auto i = static_cast<Eigen::Index>(a), j = static_cast<Eigen::Index>(b);
-    return c(i, j) / std::sqrt(c(i, i) * c(j, j));
+    return signed_number(fmt::format("{:+.2f}", c(i, j) / std::sqrt(c(i, i) * c(j, j))));
   };
   page.definitions({
       {"The paper",
@@ -433,8 +445,8 @@ Result<void> add_figure_5(Page& page, const Study& study, const Findings& f) {
        fmt::format(
            "OEM's regions have {:.2g} times the area of PEM's, those of the step {:.2g} times that of OEM's "
            "with the optimal experiment (geometric means over the four pairs). PEM's estimates correlate by "
-           "{:+.2f} (k₁, k₂), {:+.2f} (T_C, T_v) and {:+.2f} (T_s0, μ_s): what one parameter gains, the "
-           "other loses, so that the brake they describe is known far better than each of them.",
+           "{} (k₁, k₂), {} (T_C, T_v) and {} (T_s0, μ_s): what one parameter gains, the other loses, so "
+           "that the brake they describe is known far better than each of them.",
            f.methods_area_ratio, f.design_area_ratio, correlation(study.pem_optimal, k1, k2),
            correlation(study.pem_optimal, TC, Tv), correlation(study.pem_optimal, Ts0, mus))},
       {"Why they differ",
