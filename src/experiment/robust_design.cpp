@@ -92,6 +92,19 @@ RobustEvaluation evaluate_reference(const Reference& reference, const ClosedLoop
   return result;
 }
 
+/// Brakes at the ends of the prior, where the limits are met first: every corner of the stiffness, with all
+/// of the friction at one end or the other.
+std::vector<BrakeParameters> extreme_brakes(const BrakeParameters& nominal) {
+  std::vector<BrakeParameters> brakes(8, nominal);
+  for (std::size_t corner = 0; corner < brakes.size(); ++corner)
+    for (std::size_t i = 0; i < kParameterCount; ++i) {
+      const std::size_t bit = std::min<std::size_t>(i, 2);  // k1, k2, the rest
+      const double share = (corner >> bit & 1) != 0 ? 1.0 + kBeyondTableII : -kBeyondTableII;
+      brakes[corner].theta[static_cast<Eigen::Index>(i)] *= std::pow(kTableII[i], share);
+    }
+  return brakes;
+}
+
 /// The robust design as a nonlinear programme over the torques of the blocks, in units of the torque limit.
 /// Constraints, each c <= 0: force and speed of the worst brake, force, speed and speed at the
 /// end of the nominal one.
@@ -108,7 +121,10 @@ class RobustProblem {
   };
 
   RobustProblem(const RobustOptions& options, std::span<const BrakeParameters> brakes)
-      : options_(options), brakes_(brakes), loop_(options.nominal, options.limits.torque_Nm) {}
+      : options_(options),
+        brakes_(brakes),
+        extremes_(extreme_brakes(options.nominal)),
+        loop_(options.nominal, options.limits.torque_Nm) {}
 
   Value evaluate(std::span<const double> x) {
     ++evaluations_;
@@ -127,14 +143,24 @@ class RobustProblem {
     const Result<Reference> reference = build_reference(run, options_.nominal, open);
     if (!reference) return value;
     const RobustEvaluation evaluation = evaluate_reference(*reference, loop_, brakes_, options_.noise);
+    double worst_force_N = evaluation.force_max_N;
+    double worst_speed_rad_s = evaluation.velocity_max_rad_s;
+    TrackedRun tracked;
+    for (const BrakeParameters& brake : extremes_) {
+      loop_.track(*reference, brake, tracked);
+      if (!tracked.bounded) return value;
+      worst_force_N = std::max(worst_force_N, tracked.force_max_N);
+      worst_speed_rad_s = std::max(worst_speed_rad_s, tracked.velocity_max_rad_s);
+    }
     const auto over = [](double worst, double limit) {
       return std::min(10.0, worst / (limit * (1.0 - kTightening)) - 1.0);
     };
-    value.constraint = {
-        over(evaluation.force_max_N, limits.force_N),
-        over(evaluation.velocity_max_rad_s, limits.velocity_rad_s), over(force_N, limits.force_N),
-        over(speed_rad_s, limits.velocity_rad_s),
-        (std::abs(run.velocity_rad_s.back()) - limits.end_velocity_rad_s) / limits.velocity_rad_s};
+    value.constraint[0] = over(worst_force_N, limits.force_N);
+    value.constraint[1] = over(worst_speed_rad_s, limits.velocity_rad_s);
+    value.constraint[2] = over(force_N, limits.force_N);
+    value.constraint[3] = over(speed_rad_s, limits.velocity_rad_s);
+    value.constraint[4] =
+        (std::abs(run.velocity_rad_s.back()) - limits.end_velocity_rad_s) / limits.velocity_rad_s;
     if (std::isfinite(evaluation.expected_logdet)) value.objective = evaluation.expected_logdet;
     return value;
   }
@@ -159,6 +185,7 @@ class RobustProblem {
  private:
   const RobustOptions& options_;
   std::span<const BrakeParameters> brakes_;
+  std::vector<BrakeParameters> extremes_;
   ClosedLoop loop_;
   std::int64_t evaluations_ = 0;
 };

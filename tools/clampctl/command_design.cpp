@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/experiment/optimal_design.hpp"
+#include "clampd/experiment/robust_design.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
 #include "tools/clampctl/command.hpp"
@@ -20,10 +21,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr std::string_view kRobust = "robust";
+
 struct DesignCommandOptions {
   double duration_s = 0.3;
   DesignOptions design;
   std::string objective = "d";
+  RobustOptions robust;
+  std::size_t starts = 0;  ///< 0: the objective's own default
   std::string parameters;
   std::string json;
   std::string trajectory;
@@ -39,13 +44,32 @@ Result<void> prepare(DesignCommandOptions& options) {
   if (std::abs(samples - std::round(samples)) > 1e-6)
     return failure(fmt::format("--duration {} s is not a whole number of milliseconds", options.duration_s));
   design.samples = static_cast<std::size_t>(std::llround(samples));
-  design.objective = *parse_objective(options.objective);
+  if (const std::optional<Objective> objective = parse_objective(options.objective))
+    design.objective = *objective;
   if (!options.parameters.empty()) {
     Result<BrakeParameters> brake = read_brake_parameters(options.parameters);
     if (!brake) return tl::unexpected(brake.error());
     design.brake = *brake;
   }
+  RobustOptions& robust = options.robust;
+  if (options.starts > 0) design.starts = robust.starts = static_cast<int>(options.starts);
   if (const Result<void> valid = design.validate(); !valid) return valid;
+  if (options.objective == kRobust) {
+    if (!design.initial.isZero()) return failure("a robust design starts at contact and at rest");
+    robust.nominal = design.brake;
+    robust.samples = design.samples;
+    robust.block_samples = design.block_samples;
+    robust.noise.sensors = design.noise;
+    // The loop's own, closer limits unless closer ones are wanted.
+    robust.limits.torque_Nm = std::min(robust.limits.torque_Nm, design.limits.torque_Nm);
+    robust.limits.force_N = std::min(robust.limits.force_N, design.limits.force_N);
+    robust.limits.velocity_rad_s = std::min(robust.limits.velocity_rad_s, design.limits.velocity_rad_s);
+    robust.limits.end_velocity_rad_s =
+        std::min(robust.limits.end_velocity_rad_s, design.limits.end_velocity_rad_s);
+    robust.seed = design.seed;
+    robust.threads = design.threads;
+    if (const Result<void> valid = robust.validate(); !valid) return valid;
+  }
   for (const std::string* path : {&options.json, &options.trajectory}) {
     if (path->empty()) continue;
     if (const Result<void> writable = cli::check_writable(*path); !writable) return writable;
@@ -84,18 +108,79 @@ nlohmann::ordered_json design_json(const DesignOptions& design, const DesignSumm
             {"velocity_difference_rad_s", certification.velocity_difference_rad_s}}}};
 }
 
-/// The run that the brake would record without noise.
-Run nominal_response(const DesignOptions& design, const DesignSummary& summary) {
-  Run run;
-  run.torque_Nm = expand_blocks(summary.block_torque_Nm, design.block_samples);
-  Simulation simulation(run.torque_Nm.size());
-  simulate(design.brake, design.initial, Excitation{.torque_Nm = run.torque_Nm}, simulation);
-  for (std::size_t k = 0; k < run.torque_Nm.size(); ++k)
-    run.time_s.push_back(static_cast<double>(k) / 1000.0);
-  run.velocity_rad_s = std::move(simulation.velocity_rad_s);
-  run.force_N = std::move(simulation.force_N);
-  run.position_rad = std::move(simulation.position_rad);
-  return run;
+nlohmann::ordered_json robust_json(const RobustOptions& options, const RobustSummary& summary) {
+  const RobustEvaluation& evaluation = summary.evaluation;
+  nlohmann::ordered_json ranges = nlohmann::ordered_json::array();
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const double one = std::pow(kTableII[i], -kBeyondTableII);
+    const double other = std::pow(kTableII[i], 1.0 + kBeyondTableII);
+    ranges.push_back({{"name", kParameterTable[i].name},
+                      {"lower_normalised", std::min(one, other)},
+                      {"upper_normalised", std::max(one, other)}});
+  }
+  const auto finite_or_null = [](double value) {
+    return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json(nullptr);
+  };
+  return {{"schema", "clampd.design/1"},
+          {"duration_s", static_cast<double>(options.samples) * kLargestStep_s},
+          {"block_samples", options.block_samples},
+          {"objective", kRobust},
+          {"criterion",
+           {{"logdet", finite_or_null(summary.nominal.criterion.logdet)},
+            {"trace_inverse", finite_or_null(summary.nominal.criterion.trace_inverse)}}},
+          {"torque_Nm", summary.block_torque_Nm},
+          {"force_max_N", evaluation.force_max_N},
+          {"velocity_max_rad_s", evaluation.velocity_max_rad_s},
+          {"wall_s", summary.wall_s},
+          {"seed", options.seed},
+          {"starts", options.starts},
+          {"noise",
+           {{"force_N", options.noise.sensors.force_N},
+            {"velocity_rad_s", options.noise.sensors.velocity_rad_s},
+            {"torque_Nm", options.noise.torque_Nm}}},
+          {"expected_logdet", evaluation.expected_logdet},
+          {"worst_decile_logdet", evaluation.worst_decile_logdet},
+          {"tracking_rms_N", evaluation.tracking_rms_N},
+          {"prior", {{"brakes", options.verify_brakes}, {"log_uniform", ranges}}},
+          {"step",
+           {{"force_N", summary.step.force_N},
+            {"rise_s", summary.step.rise_s},
+            {"expected_logdet", summary.step_evaluation.expected_logdet},
+            {"worst_decile_logdet", summary.step_evaluation.worst_decile_logdet}}},
+          {"gain_over_step", {{"mean", summary.gain.mean}, {"worst_decile", summary.gain.worst_decile}}}};
+}
+
+void print_torques(const std::vector<double>& block_torque_Nm) {
+  fmt::print("  torque (N m)");
+  for (std::size_t i = 0; i < block_torque_Nm.size(); ++i)
+    fmt::print("{}{:>8.3f}", i > 0 && i % 10 == 0 ? "\n              " : "", block_torque_Nm[i]);
+  fmt::print("\n\n");
+}
+
+void print_robust_summary(const RobustOptions& options, const RobustSummary& summary) {
+  const RobustEvaluation& evaluation = summary.evaluation;
+  fmt::print("Robust experiment of {:.3f} s, {} blocks of {} samples\n\n",
+             static_cast<double>(options.samples) * kLargestStep_s, summary.block_torque_Nm.size(),
+             options.block_samples);
+  print_torques(summary.block_torque_Nm);
+  fmt::print(
+      "Over {} brakes as far from nominal as the paper's Table II, tracked in closed loop, initial state\n"
+      "unknown, noise {:g} N, {:g} rad/s, {:g} N m:\n\n",
+      options.verify_brakes, options.noise.sensors.force_N, options.noise.sensors.velocity_rad_s,
+      options.noise.torque_Nm);
+  fmt::print("  log det of the covariance{:>9.3f}   expected; {:.3f} in the worst tenth\n",
+             evaluation.expected_logdet, evaluation.worst_decile_logdet);
+  fmt::print(
+      "  variance of a parameter  {:>8.2f}x   smaller than by a step to {:g} kN in {:g} s, held;\n"
+      "                           {:>8.2f}x   in the worst tenth\n",
+      summary.gain.mean, 1e-3 * summary.step.force_N, summary.step.rise_s, summary.gain.worst_decile);
+  fmt::print(
+      "  force, largest           {:>8.0f} N\n  speed, largest           {:>8.1f} rad/s\n"
+      "  tracking error           {:>8.1f} N rms\n",
+      evaluation.force_max_N, evaluation.velocity_max_rad_s, evaluation.tracking_rms_N);
+  fmt::print("  nominal -log det M       {:>9.3f}   open loop, initial state and torque known\n\n",
+             summary.nominal.criterion.logdet);
+  fmt::print("  {} ({} starts, {:.1f} s)\n", summary.message, options.starts, summary.wall_s);
 }
 
 void print_summary(const DesignOptions& design, const DesignSummary& summary) {
@@ -104,10 +189,7 @@ void print_summary(const DesignOptions& design, const DesignSummary& summary) {
              design.objective == Objective::D ? "D" : "A",
              static_cast<double>(design.samples) * kLargestStep_s, summary.block_torque_Nm.size(),
              design.block_samples);
-  fmt::print("  torque (N m)");
-  for (std::size_t i = 0; i < summary.block_torque_Nm.size(); ++i)
-    fmt::print("{}{:>8.3f}", i > 0 && i % 10 == 0 ? "\n              " : "", summary.block_torque_Nm[i]);
-  fmt::print("\n\n");
+  print_torques(summary.block_torque_Nm);
   fmt::print("  -log det M       {:>10.3f}   (smaller is better; independent check {:.3f})\n",
              summary.criterion.logdet, certification.criterion.logdet);
   fmt::print("  trace of M^-1    {:>10.4g}   (sum of the relative variances)\n",
@@ -129,8 +211,34 @@ void print_summary(const DesignOptions& design, const DesignSummary& summary) {
   fmt::print("  {} ({} starts, {:.1f} s)\n", summary.message, design.starts, summary.wall_s);
 }
 
+/// The files that were asked for.
+Result<void> write_files(const DesignCommandOptions& options, const nlohmann::ordered_json& document,
+                         const Run& trajectory) {
+  if (!options.trajectory.empty())
+    if (const Result<void> written = write_run(options.trajectory, trajectory); !written) return written;
+  if (!options.json.empty()) return write_file_atomically(options.json, document.dump(2) + "\n");
+  return {};
+}
+
+int design_robust(DesignCommandOptions& options) {
+  cli::ProgressLine progress;
+  options.robust.progress = [&](double fraction, double best) {
+    progress.show(fraction, std::isfinite(best) ? fmt::format("best so far {:.3f}", best) : std::string());
+  };
+  const RobustSummary summary = design_robust_experiment(options.robust);
+  progress.clear();
+  if (!summary.found) return cli::refuse(Error{fmt::format("no design: {}", summary.message)});
+  if (const Result<void> written =
+          write_files(options, robust_json(options.robust, summary), summary.trajectory);
+      !written)
+    return cli::refuse(written.error());
+  print_robust_summary(options.robust, summary);
+  return cli::kSuccess;
+}
+
 int design(DesignCommandOptions options) {
   if (const Result<void> prepared = prepare(options); !prepared) return cli::refuse(prepared.error());
+  if (options.objective == kRobust) return design_robust(options);
   cli::ProgressLine progress;
   options.design.progress = [&](double fraction, double best) {
     progress.show(fraction, std::isfinite(best) ? fmt::format("best so far {:.3f}", best) : std::string());
@@ -138,15 +246,12 @@ int design(DesignCommandOptions options) {
   const DesignSummary summary = design_experiment(options.design);
   progress.clear();
   if (!summary.certified()) return cli::refuse(Error{fmt::format("no design: {}", summary.message)});
-  if (!options.trajectory.empty())
-    if (const Result<void> written = write_run(options.trajectory, nominal_response(options.design, summary));
-        !written)
-      return cli::refuse(written.error());
-  if (!options.json.empty())
-    if (const Result<void> written =
-            write_file_atomically(options.json, design_json(options.design, summary).dump(2) + "\n");
-        !written)
-      return cli::refuse(written.error());
+  if (const Result<void> written =
+          write_files(options, design_json(options.design, summary),
+                      response_to(summary.block_torque_Nm, options.design.block_samples, options.design.brake,
+                                  options.design.initial));
+      !written)
+    return cli::refuse(written.error());
   print_summary(options.design, summary);
   return cli::kSuccess;
 }
@@ -164,9 +269,12 @@ void add_design_command(CLI::App& app, int& exit_code) {
       ->check(CLI::Range(1, 10000))
       ->capture_default_str();
   command
-      ->add_option("--objective", options->objective,
-                   "what to minimise: d, -log det M, or a, the trace of the inverse of M")
-      ->check(CLI::IsMember({"d", "a"}))
+      ->add_option(
+          "--objective", options->objective,
+          "what to minimise: d, -log det M of the nominal brake; a, the trace of its inverse; robust, "
+          "the expected log det of the covariance over brakes as far from nominal as the paper's "
+          "Table II, tracked in closed loop (a minute)")
+      ->check(CLI::IsMember({"d", "a", "robust"}))
       ->capture_default_str();
   command->add_option("--torque-limit", limits.torque_Nm, "N m")->capture_default_str();
   command->add_option("--force-limit", limits.force_N, "N")->capture_default_str();
@@ -194,12 +302,18 @@ void add_design_command(CLI::App& app, int& exit_code) {
   command->add_option("--initial-position", design_options.initial[0], "rad from contact")
       ->capture_default_str();
   command->add_option("--initial-velocity", design_options.initial[1], "rad/s")->capture_default_str();
+  command
+      ->add_option("--noise-torque", options->robust.noise.torque_Nm,
+                   "N m, standard deviation of the torque over each sample; robust only")
+      ->capture_default_str();
   command->add_option("--seed", design_options.seed, "of the search; the same seed finds the same design")
       ->capture_default_str();
   command
-      ->add_option("--starts", design_options.starts,
-                   "local searches; more take longer and find better designs")
-      ->capture_default_str();
+      ->add_option(
+          "--starts", options->starts,
+          fmt::format("local searches; more take longer and find better designs (default: {}, robust {})",
+                      design_options.starts, options->robust.starts))
+      ->check(CLI::Range(1, 1000000));
   command->add_option("--threads", design_options.threads, "0: all of the machine; no effect on the design")
       ->capture_default_str();
   command

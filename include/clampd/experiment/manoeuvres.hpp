@@ -28,6 +28,10 @@ struct ManoeuvreInfo {
 /// THE table of manoeuvres.
 std::span<const ManoeuvreInfo> manoeuvres();
 
+/// Segments as a trajectory of the nominal brake, as make_manoeuvre() does its own. `name` is for messages.
+Result<Run> follow_segments(std::string_view name, std::span<const ManoeuvreSegment> segments,
+                            const BrakeParameters& nominal);
+
 /// A manoeuvre as a trajectory of the nominal brake, 1 ms a row, all columns, position from contact. Moves
 /// are polynomials of least jerk in position; the torques come from inverse dynamics, held over each row, so
 /// that each row follows from the one before exactly. `optimal` is what the manoeuvre of that name gives
