@@ -17,7 +17,7 @@ constexpr double kImpossible = 1e30;
 
 /// Decrease of the weighted squares at which a fit ends: a last step of 0.1 standard deviations. The cost has
 /// faint kinks, where a stop crosses a sample, that make a finer search bounce.
-constexpr double kTolerance = 1e-2;
+constexpr double kTolerance = 2e-2;
 
 /// From this expected decrease on a step that fails to bring it is an end too: a kink.
 constexpr double kNearTheEnd = 0.3;
@@ -60,12 +60,21 @@ JointFit::JointFit(std::span<const Run> runs, const EstimatorOptions& options)
       options_(options),
       free_(static_cast<int>(std::count(options.held.begin(), options.held.end(), false))),
       weights_(runs.size()),
-      guesses_(runs.size(), Eigen::Vector2d::Zero()),
-      linear_(runs.size()),
-      normals_(runs.size()) {
-  for (std::size_t r = 0; r < runs.size(); ++r) linear_[r].resize(runs[r].size());
-  evaluated_.resize(NumParameters());
+      guesses_(runs.size(), Eigen::Vector2d::Zero()) {
+  for (Evaluation* evaluation : {&now_, &before_}) {
+    evaluation->linear.resize(runs.size());
+    for (std::size_t r = 0; r < runs.size(); ++r) evaluation->linear[r].resize(runs[r].size());
+    evaluation->normals.resize(runs.size());
+    evaluation->unknowns.resize(NumParameters());
+  }
   invalidate();
+}
+
+void JointFit::invalidate() {
+  for (Evaluation* evaluation : {&now_, &before_}) {
+    evaluation->unknowns.setConstant(std::numeric_limits<double>::quiet_NaN());
+    evaluation->possible = false;
+  }
 }
 
 Eigen::VectorXd JointFit::start_from(const ParameterVector& theta) {
@@ -107,46 +116,44 @@ Eigen::Vector2d JointFit::initial_of(const Eigen::VectorXd& unknowns, std::size_
 }
 
 void JointFit::use_output_errors(const Variances& variances) {
-  const bool rows_hold = !innovations_ && possible_;
+  const bool rows_hold = !innovations_ && now_.possible;
   variances_ = variances;
   innovations_ = false;
-  set_output_error_gains();
-  if (rows_hold)
-    weigh();
-  else
-    invalidate();
+  if (!rows_hold) invalidate();
+  before_.unknowns.setConstant(std::numeric_limits<double>::quiet_NaN());
+  set_output_error_gains(now_);
+  set_output_error_gains(before_);
+  if (rows_hold) weigh();
 }
 
 void JointFit::restore_output_errors() {
-  set_output_error_gains();
+  set_output_error_gains(now_);
   weigh();
+}
+
+void JointFit::set_output_error_gains(Evaluation& evaluation) {
+  for (std::size_t r = 0; r < runs_.size(); ++r)
+    ignore_torque_noise(variances_, weights_[r], evaluation.linear[r]);
 }
 
 void JointFit::weigh() const {
   for (std::size_t r = 0; r < runs_.size(); ++r) {
-    normals_[r] = normal_equations(linear_[r]);
-    add_initial_state_prior(initial_of(evaluated_, r) - guesses_[r], normals_[r]);
+    now_.normals[r] = normal_equations(now_.linear[r]);
+    add_initial_state_prior(initial_of(now_.unknowns, r) - guesses_[r], now_.normals[r]);
   }
-}
-
-void JointFit::set_output_error_gains() {
-  for (std::size_t r = 0; r < runs_.size(); ++r) ignore_torque_noise(variances_, weights_[r], linear_[r]);
 }
 
 bool JointFit::use_innovations(const Eigen::VectorXd& unknowns, const Variances& variances) {
   const BrakeParameters parameters{theta_of(unknowns), options_.start.fixed};
   for (std::size_t r = 0; r < runs_.size(); ++r)
     if (!extended_kalman_filter(runs_[r], parameters, initial_of(unknowns, r), variances, weights_[r],
-                                linear_[r]))
+                                now_.linear[r]))
       return false;
+  for (std::size_t r = 0; r < runs_.size(); ++r) before_.linear[r].gains = now_.linear[r].gains;
   variances_ = variances;
-  use_present_gains();
-  return true;
-}
-
-void JointFit::use_present_gains() {
   innovations_ = true;
   invalidate();
+  return true;
 }
 
 double JointFit::update_weights() {
@@ -157,9 +164,9 @@ double JointFit::update_weights() {
     weights.force.resize(runs_[r].size(), 1.0);
     weights.velocity.resize(runs_[r].size(), 1.0);
     for (std::size_t k = 0; k < runs_[r].size(); ++k) {
-      const LinearRow& row = linear_[r].rows[k];
+      const LinearRow& row = now_.linear[r].rows[k];
       // Weighed with the covariance that the innovation has if its readings count fully.
-      const Eigen::Matrix2d state = row.by_state * linear_[r].gains[k].covariance * row.by_state.transpose();
+      const Eigen::Matrix2d state = row.by_state * now_.linear[r].gains[k].covariance * row.by_state.transpose();
       const double deviation[2] = {std::sqrt(variances_.force + state(0, 0)),
                                    std::sqrt(variances_.velocity + state(1, 1))};
       double* const weight[2] = {&weights.force[k], &weights.velocity[k]};
@@ -177,20 +184,22 @@ bool JointFit::evaluate(const Eigen::VectorXd& unknowns) const { return evaluate
 
 bool JointFit::evaluate(const double* unknowns) const {
   const Eigen::Map<const Eigen::VectorXd> point(unknowns, NumParameters());
-  if (point == evaluated_) return possible_;
-  evaluated_ = point;
-  possible_ = false;
-  const BrakeParameters parameters{theta_of(evaluated_), options_.start.fixed};
+  if (point == now_.unknowns) return now_.possible;
+  std::swap(now_, before_);
+  if (point == now_.unknowns) return now_.possible;
+  now_.unknowns = point;
+  now_.possible = false;
+  const BrakeParameters parameters{theta_of(now_.unknowns), options_.start.fixed};
   if (!within_bounds(parameters.theta)) return false;
-  normalised_ = parameters.theta.cwiseQuotient(nominal_parameters());
+  now_.normalised = parameters.theta.cwiseQuotient(nominal_parameters());
   for (std::size_t r = 0; r < runs_.size(); ++r) {
-    const Eigen::Vector2d initial = initial_of(evaluated_, r);
-    if (!(innovations_ ? linearise_with_gains(runs_[r], parameters, initial, linear_[r])
-                       : linearise(runs_[r], parameters, initial, linear_[r])))
+    const Eigen::Vector2d initial = initial_of(now_.unknowns, r);
+    if (!(innovations_ ? linearise_with_gains(runs_[r], parameters, initial, now_.linear[r])
+                       : linearise(runs_[r], parameters, initial, now_.linear[r])))
       return false;
   }
   weigh();
-  possible_ = true;
+  now_.possible = true;
   return true;
 }
 
@@ -210,11 +219,11 @@ bool JointFit::operator()(const double* unknowns, double* residuals, double* jac
   Eigen::Map<Eigen::MatrixXd> jacobian_rows(jacobian, NumResiduals(), NumParameters());
   jacobian_rows.setZero();
   for (std::size_t r = 0; r < runs_.size(); ++r) {
-    Normal normal = normals_[r];
+    Normal normal = now_.normals[r];
     for (int i = 0; i < kTheta; ++i) {
       if (!is_logarithmic(i)) continue;
-      normal.row(i) *= normalised_[i];
-      normal.col(i) *= normalised_[i];
+      normal.row(i) *= now_.normalised[i];
+      normal.col(i) *= now_.normalised[i];
     }
     const Normal factor = semidefinite_factor(normal);
     const auto row = static_cast<Eigen::Index>(r) * (kUnknowns + 1);
@@ -231,7 +240,7 @@ bool JointFit::operator()(const double* unknowns, double* residuals, double* jac
 
 double JointFit::squares() const {
   double sum = 0.0;
-  for (const Normal& normal : normals_) sum += normal(kDataColumn, kDataColumn);
+  for (const Normal& normal : now_.normals) sum += normal(kDataColumn, kDataColumn);
   return sum;
 }
 
@@ -242,7 +251,7 @@ double JointFit::expected_decrease() const {
 
 Eigen::Vector2d JointFit::mean_squares(std::size_t run) const {
   const ReadingWeights& weights = weights_[run];
-  const auto& rows = linear_[run].rows;
+  const auto& rows = now_.linear[run].rows;
   Eigen::Vector2d sum = Eigen::Vector2d::Zero();
   for (std::size_t k = 0; k < rows.size(); ++k) {
     const Eigen::Vector2d square = rows[k].residual.cwiseAbs2();
@@ -266,7 +275,7 @@ Eigen::Vector2d JointFit::mean_squares() const {
 
 std::vector<Eigen::Vector2d> JointFit::prior_distances() const {
   std::vector<Eigen::Vector2d> distances;
-  for (std::size_t r = 0; r < runs_.size(); ++r) distances.push_back(initial_of(evaluated_, r) - guesses_[r]);
+  for (std::size_t r = 0; r < runs_.size(); ++r) distances.push_back(initial_of(now_.unknowns, r) - guesses_[r]);
   return distances;
 }
 

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <limits>
 #include <span>
 #include <vector>
 
@@ -43,9 +42,6 @@ class JointFit {
   /// Innovations from here on, with the gains of extended Kalman filters at these unknowns. False, and nothing
   /// changed for good, if a filter diverges there.
   bool use_innovations(const Eigen::VectorXd& unknowns, const Variances& variances);
-  /// Innovations from here on, with the gains that the runs hold now.
-  void use_present_gains();
-
   const Variances& variances() const { return variances_; }
 
   /// Huber weights from the last evaluated point's residuals; the largest change of a weight.
@@ -59,25 +55,30 @@ class JointFit {
   double squares() const;
   /// By how much a Gauss-Newton step would lower squares().
   double expected_decrease() const;
-  JointNormal joint_normal() const { return eliminate_initial_states(normals_, options_.held); }
-  const Normal& normal(std::size_t run) const { return normals_[run]; }
+  JointNormal joint_normal() const { return eliminate_initial_states(now_.normals, options_.held); }
+  const Normal& normal(std::size_t run) const { return now_.normals[run]; }
   /// Mean squared residuals (force N^2, velocity rad^2/s^2), weighted if the loss is robust: (9), its diagonal.
   Eigen::Vector2d mean_squares() const;
   Eigen::Vector2d mean_squares(std::size_t run) const;
   /// How far each run's initial state is from the centre of its prior.
   std::vector<Eigen::Vector2d> prior_distances() const;
-  std::span<LinearRun> linear_runs() { return linear_; }
-  std::span<const LinearRun> linear_runs() const { return linear_; }
+  std::span<LinearRun> linear_runs() { return now_.linear; }
+  std::span<const LinearRun> linear_runs() const { return now_.linear; }
   std::span<const ReadingWeights> weights() const { return weights_; }
 
  private:
+  struct Evaluation {
+    std::vector<LinearRun> linear;
+    std::vector<Normal> normals;
+    Eigen::VectorXd unknowns;
+    ParameterVector normalised;
+    bool possible = false;
+  };
+
   bool evaluate(const double* unknowns) const;
   void weigh() const;
-  void set_output_error_gains();
-  void invalidate() {
-    evaluated_.setConstant(std::numeric_limits<double>::quiet_NaN());
-    possible_ = false;
-  }
+  void set_output_error_gains(Evaluation& evaluation);
+  void invalidate();
 
   std::span<const Run> runs_;
   const EstimatorOptions& options_;
@@ -86,11 +87,8 @@ class JointFit {
   std::vector<ReadingWeights> weights_;
   std::vector<Eigen::Vector2d> guesses_;
   bool innovations_ = false;
-  mutable std::vector<LinearRun> linear_;
-  mutable std::vector<Normal> normals_;
-  mutable Eigen::VectorXd evaluated_;
-  mutable ParameterVector normalised_;
-  mutable bool possible_ = false;
+  /// The last evaluation and the one before: the solver comes back to the latter when a step was no good.
+  mutable Evaluation now_, before_;
 };
 
 bool within_bounds(const ParameterVector& theta);

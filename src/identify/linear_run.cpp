@@ -1,5 +1,6 @@
 #include "src/identify/linear_run.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "clampd/base/assert.hpp"
@@ -28,6 +29,15 @@ Eigen::Matrix2d correct(const Eigen::Matrix2d& by_state, const Eigen::Matrix2d& 
   log_determinant += std::log(determinant);
   const Eigen::Matrix2d filtered = gain.covariance - gain.gain * cross.transpose();
   return 0.5 * (filtered + filtered.transpose());
+}
+
+/// L with L L^T = covariance, which may be singular.
+Eigen::Matrix2d root_of(const Eigen::Matrix2d& covariance) {
+  Eigen::Matrix2d root = Eigen::Matrix2d::Zero();
+  root(0, 0) = std::sqrt(std::max(0.0, covariance(0, 0)));
+  if (root(0, 0) > 0.0) root(1, 0) = covariance(1, 0) / root(0, 0);
+  root(1, 1) = std::sqrt(std::max(0.0, covariance(1, 1) - root(1, 0) * root(1, 0)));
+  return root;
 }
 
 Eigen::Matrix2d propagate(const LinearRow& row, const Eigen::Matrix2d& filtered, double torque_variance) {
@@ -59,6 +69,7 @@ bool walk(const Run& run, const BrakeParameters& parameters, const BrakeState& i
       row.transition.setZero();
       row.step_by_parameter.setZero();
       row.torque_covariance.setZero();
+      row.torque_root.setZero();
       break;
     }
     state += row.correction;
@@ -78,6 +89,8 @@ bool walk(const Run& run, const BrakeParameters& parameters, const BrakeState& i
                                   .eval();
       row.transition = (step.transition * row.transition).eval();
     }
+    row.torque_root << step.by_torque, Eigen::Vector2d::Zero();
+    if (steps > 1) row.torque_root = root_of(row.torque_covariance);
     row.step_by_parameter = row.step_by_parameter * scale.asDiagonal();
     advanced(k, row);
   }
@@ -97,7 +110,10 @@ void LinearRun::resize(std::size_t size) {
   rows.resize(size);
   gains.resize(size);
   reference.resize(size);
-  innovations.resize(size);
+  const auto columns = static_cast<Eigen::Index>(size);
+  innovations.resize(Eigen::NoChange, 2 * columns);
+  weighted_innovations.resize(Eigen::NoChange, 2 * columns);
+  scores.resize(Eigen::NoChange, 4 * columns);
   disturbances.resize(size);
 }
 
@@ -156,25 +172,25 @@ void ignore_torque_noise(const Variances& variances, const ReadingWeights& weigh
 }
 
 Normal normal_equations(LinearRun& run) noexcept {
-  Normal normal = Normal::Zero();
   // Derivatives of the state's distance from the reference by the unknowns; last column: that distance itself.
   Columns distance = Columns::Zero();
   distance(0, kInitialPositionColumn) = distance(1, kInitialVelocityColumn) = 1.0;
   for (std::size_t k = 0; k < run.rows.size(); ++k) {
     const LinearRow& row = run.rows[k];
     const RowGain& gain = run.gains[k];
-    Columns& innovation = run.innovations[k];
-    innovation.noalias() = -row.by_state.lazyProduct(distance);
+    Columns innovation = -row.by_state.lazyProduct(distance);
     innovation.leftCols<kTheta>() -= row.by_parameter;
     innovation.col(kDataColumn) += row.residual;
     const Columns weighted = gain.weight.lazyProduct(innovation);
-    normal.noalias() += innovation.transpose().lazyProduct(weighted);
+    const auto at = static_cast<Eigen::Index>(2 * k);
+    run.innovations.middleCols<2>(at) = innovation.transpose();
+    run.weighted_innovations.middleCols<2>(at) = weighted.transpose();
     Columns corrected = distance + gain.gain.lazyProduct(innovation);
     corrected.col(kDataColumn) -= row.correction;
     distance.noalias() = row.transition.lazyProduct(corrected);
     distance.leftCols<kTheta>() += row.step_by_parameter;
   }
-  return normal;
+  return run.innovations * run.weighted_innovations.transpose();
 }
 
 ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<double, kUnknowns, 1>& step,
@@ -183,28 +199,31 @@ ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<do
   const auto at_step = [&](const Columns& columns) -> Eigen::Vector2d {
     return columns.leftCols<kUnknowns>() * step + columns.col(kDataColumn);
   };
+  const auto size = static_cast<Eigen::Index>(run.rows.size());
+  auto force = run.scores.leftCols(size);
+  auto velocity = run.scores.middleCols(size, size);
+  auto torque = run.scores.rightCols(2 * size);
   // Of the state at the row after: derivatives of the later rows' products, and their expected square.
   Columns later = Columns::Zero();
   Eigen::Matrix2d later_square = Eigen::Matrix2d::Zero();
   for (std::size_t k = run.rows.size(); k-- > 0;) {
     const LinearRow& row = run.rows[k];
     const RowGain& gain = run.gains[k];
-    moments.torque.noalias() +=
-        later.transpose().lazyProduct(Columns(row.torque_covariance.lazyProduct(later)));
     moments.torque_trace += (row.torque_covariance.array() * later_square.array()).sum();
 
     const Columns through = row.transition.transpose().lazyProduct(later);
     const Eigen::Matrix2d square =
         row.transition.transpose() * later_square * row.transition;
     const Columns of_reading =
-        gain.weight.lazyProduct(run.innovations[k]) - gain.gain.transpose().lazyProduct(through);
+        run.weighted_innovations.middleCols<2>(2 * static_cast<Eigen::Index>(k)).transpose() -
+        gain.gain.transpose().lazyProduct(through);
     const Eigen::Matrix2d reading_square = gain.weight + gain.gain.transpose() * square * gain.gain;
     const double force_share = weights.force.empty() ? 1.0 : 1.0 / weights.force[k];
     const double velocity_share = weights.velocity.empty() ? 1.0 : 1.0 / weights.velocity[k];
-    moments.force.noalias() +=
-        (force_share * of_reading.row(0)).transpose().lazyProduct(of_reading.row(0));
-    moments.velocity.noalias() +=
-        (velocity_share * of_reading.row(1)).transpose().lazyProduct(of_reading.row(1));
+    const auto at = static_cast<Eigen::Index>(k);
+    force.col(at) = std::sqrt(force_share) * of_reading.row(0).transpose();
+    velocity.col(at) = std::sqrt(velocity_share) * of_reading.row(1).transpose();
+    torque.middleCols<2>(2 * at) = later.transpose() * row.torque_root;
     moments.force_trace += force_share * reading_square(0, 0);
     moments.velocity_trace += velocity_share * reading_square(1, 1);
     moments.offsets += of_reading.leftCols<kUnknowns>().transpose();
@@ -215,6 +234,9 @@ ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<do
     later_square = row.by_state.transpose() * gain.weight * row.by_state +
                    remaining.transpose() * square * remaining;
   }
+  moments.force = force * force.transpose();
+  moments.velocity = velocity * velocity.transpose();
+  moments.torque = torque * torque.transpose();
   return moments;
 }
 
@@ -234,7 +256,7 @@ WorkingProducts working_products(const ReadingWeights& weights, const LinearRun&
     const Three weighted = gain.weight.lazyProduct(innovation);
     products.with_themselves.noalias() += innovation.transpose().lazyProduct(weighted);
     products.with_unknowns.noalias() +=
-        run.innovations[k].leftCols<kUnknowns>().transpose().lazyProduct(weighted);
+        run.innovations.block<kUnknowns, 2>(0, 2 * static_cast<Eigen::Index>(k)).lazyProduct(weighted);
     const Three corrected = distance + gain.gain.lazyProduct(innovation);
     distance.noalias() = row.transition.lazyProduct(corrected);
     disturbed = row.transition * disturbed + row.torque_covariance * disturbance.next_state;

@@ -30,6 +30,7 @@ struct LinearRow {
   Eigen::Matrix2d transition;  ///< A of (19)
   Eigen::Matrix<double, 2, kTheta> step_by_parameter;
   Eigen::Matrix2d torque_covariance;  ///< of the next row's state, by torque noise of unit variance
+  Eigen::Matrix2d torque_root;        ///< its root: torque_root torque_root^T = torque_covariance
 };
 
 /// Variances of the noise: of a force reading and of a velocity reading with weight one, of the torque.
@@ -48,6 +49,9 @@ struct ReadingWeights {
 
 /// Of all unknowns and the data, in a row's two readings or two states.
 using Columns = Eigen::Matrix<double, 2, kUnknowns + 1>;
+
+/// The same, transposed, of many rows: what is summed over all rows is then one matrix product.
+using ColumnList = Eigen::Matrix<double, kUnknowns + 1, Eigen::Dynamic>;
 
 struct RowGain {
   Eigen::Matrix2d gain;         ///< K of (16)
@@ -69,7 +73,10 @@ struct LinearRun {
   std::vector<LinearRow> rows;
   std::vector<RowGain> gains;
   std::vector<Eigen::Vector2d> reference;  ///< state at each row, before its reading is used
-  std::vector<Columns> innovations;        ///< [J e] of each row, by normal_equations()
+  /// By normal_equations(): [J e] and W [J e], two columns a row (force, velocity).
+  ColumnList innovations;
+  ColumnList weighted_innovations;
+  ColumnList scores;  ///< by score_moments(): of all forces, all velocities, all torques (two each)
   std::vector<Disturbance> disturbances;   ///< by score_moments()
   double log_determinant = 0.0;            ///< sum of log det S
 };

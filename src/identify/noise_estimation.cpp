@@ -12,8 +12,8 @@ namespace clampd::identify {
 
 namespace {
 
-/// A gain in likelihood that no longer matters: a step of a twentieth of the variances' own uncertainty.
-constexpr double kDecrement = 2.5e-3;
+/// A gain in likelihood that no longer matters: a step of a tenth of the variances' own uncertainty.
+constexpr double kDecrement = 1e-2;
 
 constexpr int kMostHalvings = 6;
 

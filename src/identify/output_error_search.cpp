@@ -9,9 +9,9 @@ namespace clampd::identify {
 
 namespace {
 
-/// R is re-estimated after each descent, until it changes by less than this share: that moves the parameters
-/// by less than a hundredth of their standard deviation.
-constexpr double kNoiseTolerance = 0.02;
+/// R is re-estimated after each descent, until its variances change by less than this share: such a change of
+/// the weights costs far less than a hundredth of the estimate's efficiency.
+constexpr double kNoiseTolerance = 0.2;
 constexpr double kWeightTolerance = 0.02;
 
 /// More attempts from other starts follow if a fit's residuals exceed the noise seen without a model this
@@ -47,22 +47,25 @@ OutputErrorAttempt OutputErrorSearch::attempt(const ParameterVector& theta) {
     iterations_ += descent.iterations;
     if (!descent.possible) return result;
     used += std::max(1, descent.iterations);
-    const Variances before = result.weights;
-    result.weights = known_or(fit_.mean_squares());
+    const Variances found = known_or(fit_.mean_squares());
     const double reweighted = fit_.update_weights();
-    const double change = std::max(std::abs(result.weights.force / before.force - 1.0),
-                                   std::abs(result.weights.velocity / before.velocity - 1.0));
+    const double change = std::max(std::abs(found.force / result.weights.force - 1.0),
+                                   std::abs(found.velocity / result.weights.velocity - 1.0));
     result.settled = descent.settled && change < kNoiseTolerance && reweighted < kWeightTolerance;
     if (result.settled) break;
+    result.weights = found;
   }
   const Eigen::Vector2d squares = fit_.mean_squares();
-  result.score = 0.5 * (squares[0] / result.weights.force + squares[1] / result.weights.velocity +
-                        std::log(result.weights.force) + std::log(result.weights.velocity));
+  const Variances found = known_or(squares);
+  result.score = 0.5 * (squares[0] / found.force + squares[1] / found.velocity + std::log(found.force) +
+                        std::log(found.velocity));
   return result;
 }
 
 JointFit& OutputErrorSearch::fit_at(const OutputErrorAttempt& attempt) {
-  fit_.use_output_errors(attempt.weights);
+  const Variances& present = fit_.variances();
+  if (attempt.weights.force != present.force || attempt.weights.velocity != present.velocity)
+    fit_.use_output_errors(attempt.weights);
   fit_.evaluate(attempt.unknowns);
   return fit_;
 }
