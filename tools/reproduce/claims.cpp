@@ -74,7 +74,7 @@ void add_table_claims(const Study& study, const Findings& f, std::vector<Claim>&
   claims.push_back(
       judged("Table II, Fig. 5", "The optimal experiment beats a non-optimal one.",
              fmt::format("OEM's variance is {} than with a step; what is possible at all (Cramér-Rao) is {}. "
-                         "Table II itself: {}.",
+                         "By Table II itself it is {}.",
                          times(f.design_variance_ratio, "smaller", "larger"),
                          times(f.design_bound_ratio, "smaller", "larger"),
                          times(variance_ratio(kPaperOemStep, kPaperOemOptimal), "smaller", "larger")),

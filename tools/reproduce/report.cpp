@@ -326,10 +326,11 @@ void add_table_2(Page& page, const Study& study, const Findings& f) {
     }
     page.table(table);
   }
-  page.paragraph(
+  page.paragraph(fmt::format(
       "Cramér-Rao: the smallest variance that an unbiased estimator can have, the initial state unknown, "
       "with the torque noise counted; beside it the paper's figure (14), which takes the torque reading as "
-      "exact. A variance over 20 repeats is itself uncertain by about a third.");
+      "exact. A variance over {} repeats is itself uncertain by about {:.0f} %.",
+      study.options.repeats, 100.0 * std::sqrt(2.0 / (study.options.repeats - 1.0))));
 
   Table figures{.columns = {{"Column"},
                             {"Efficiency", true},
@@ -649,7 +650,7 @@ Result<void> add_figure_8(Page& page, const Study& study, const Findings& f) {
                         .y = {.label = "σ (rad/s)"},
                         .layers = {Curve{.x = time_s, .y = filtered.velocity_rad_s.sd, .colour = kPem}}};
   if (auto drawn = page.figure(
-          {.panels = {force, error, zoom, deviation}, .panel_height_px = 260},
+          {.panels = {force, error, zoom, deviation}, .panel_height_px = 220},
           "The extended Kalman filter (15) to (19) with PEM's parameters on the run of Fig. 7. The paper's "
           "band is one variance wide; here it is ± 2 standard deviations of the state.");
       !drawn)
