@@ -286,6 +286,17 @@ std::vector<double> cautious_design(const RobustOptions& options, std::uint64_t 
   return x;
 }
 
+/// The known design as a start, whatever the length and the blocks: its torque at the middle of each block.
+std::vector<double> known_design(const RobustOptions& options) {
+  std::vector<double> x(options.samples / options.block_samples);
+  for (std::size_t block = 0; block < x.size(); ++block) {
+    const std::size_t known = (2 * block + 1) * options.block_samples / (2 * kKnownRobustBlockSamples);
+    x[block] =
+        kKnownRobustBlocks_Nm[std::min(known, kKnownRobustBlocks_Nm.size() - 1)] / options.limits.torque_Nm;
+  }
+  return x;
+}
+
 std::vector<double> variation(const std::vector<Candidate>& elite, std::mt19937_64& random) {
   std::uniform_real_distribution<double> unit(0.0, 1.0);
   std::normal_distribution<double> normal;
@@ -444,7 +455,7 @@ RobustSummary design_robust_experiment(const RobustOptions& options) {
     const std::size_t first = done;
     if (done < total / 3 || elite.empty())
       round(count, [&](RobustProblem& problem, std::mt19937_64&, std::size_t i) {
-        std::vector<double> x = cautious_design(options, first + i);
+        std::vector<double> x = first + i == 0 ? known_design(options) : cautious_design(options, first + i);
         return x.empty() ? Candidate{} : search_from(problem, std::move(x), kExplorationEvaluations);
       });
     else

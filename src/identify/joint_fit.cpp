@@ -5,6 +5,7 @@
 #include <limits>
 
 #include <Eigen/Cholesky>
+#include <Eigen/LU>
 
 #include "src/identify/starting_point.hpp"
 
@@ -24,6 +25,11 @@ constexpr double kNearTheEnd = 0.3;
 
 /// Iterations in one go, far from the end; near it one at a time, to look whether anything is left to gain.
 constexpr int kRoundIterations = 8;
+
+/// Gauss-Newton steps to leap beyond a kink.
+constexpr double kFirstLeap = 1.0;
+constexpr double kLastLeap = 4.0;
+constexpr int kLeapIterations = 6;
 
 /// Huber's bend, in standard deviations, and the mean of the weighted square of a standard normal with it.
 constexpr double kHuberBend = 2.5;
@@ -249,6 +255,21 @@ double JointFit::expected_decrease() const {
   return squares() - joint.squares + joint.gradient.dot(joint.information.ldlt().solve(joint.gradient));
 }
 
+void JointFit::gauss_newton_step(Eigen::VectorXd& step) const {
+  const JointNormal joint = joint_normal();
+  const ParameterVector theta = -joint.information.ldlt().solve(joint.gradient);
+  Eigen::Index next = 0;
+  for (int i = 0; i < kTheta; ++i) {
+    if (options_.held[static_cast<std::size_t>(i)]) continue;
+    step[next++] = is_logarithmic(i) ? std::clamp(theta[i] / now_.normalised[i], -0.5, 0.5) : theta[i];
+  }
+  for (const Normal& normal : now_.normals) {
+    step.segment<2>(next) = -elimination(normal).transpose() * theta -
+                            normal.block<2, 2>(kTheta, kTheta).inverse() * normal.block<2, 1>(kTheta, kDataColumn);
+    next += 2;
+  }
+}
+
 Eigen::Vector2d JointFit::mean_squares(std::size_t run) const {
   const ReadingWeights& weights = weights_[run];
   const auto& rows = now_.linear[run].rows;
@@ -273,20 +294,37 @@ Eigen::Vector2d JointFit::mean_squares() const {
   return sum / rows;
 }
 
+bool JointFit::coloured() const {
+  constexpr int kLags = 3;
+  constexpr double kDeviations = 3.3;
+  Eigen::Vector2d square = Eigen::Vector2d::Zero();
+  Eigen::Vector2d lagged = Eigen::Vector2d::Zero();
+  double rows = 0.0;
+  for (const LinearRun& run : now_.linear) {
+    for (std::size_t k = 0; k < run.rows.size(); ++k) {
+      square += run.rows[k].residual.cwiseAbs2();
+      for (std::size_t lag = 1; lag <= std::min<std::size_t>(kLags, k); ++lag)
+        lagged += run.rows[k].residual.cwiseProduct(run.rows[k - lag].residual);
+    }
+    rows += static_cast<double>(run.rows.size());
+  }
+  // The sum of three correlations, each with a variance of 1/n if the residuals are white.
+  return (lagged.array() > kDeviations * std::sqrt(kLags / rows) * square.array()).any();
+}
+
 std::vector<Eigen::Vector2d> JointFit::prior_distances() const {
   std::vector<Eigen::Vector2d> distances;
   for (std::size_t r = 0; r < runs_.size(); ++r) distances.push_back(initial_of(now_.unknowns, r) - guesses_[r]);
   return distances;
 }
 
-Descent Minimiser::operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations) {
+Descent Minimiser::descend(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations) {
   Descent descent;
-  solver_.options.function_tolerance = kTolerance;
-  solver_.options.parameter_tolerance = 1e-9;
   descent.possible = fit.evaluate(unknowns);
   bool stalled = false;
   while (descent.possible && descent.iterations < max_iterations) {
     const double expected = fit.expected_decrease();
+    descent.at_kink = stalled && expected >= kTolerance;
     descent.settled = expected < kTolerance || (stalled && expected < kNearTheEnd);
     if (descent.settled) break;
     const double before = fit.squares();
@@ -299,9 +337,32 @@ Descent Minimiser::operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_
     const bool stuck = stalled;
     stalled = !(before - fit.squares() > 0.1 * std::min(expected, 1.0));
     if (stuck && stalled) {
-      descent.settled = true;
+      descent.settled = descent.at_kink = true;
       break;
     }
+  }
+  return descent;
+}
+
+Descent Minimiser::operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations) {
+  solver_.options.function_tolerance = kTolerance;
+  solver_.options.parameter_tolerance = 1e-9;
+  Descent descent = descend(fit, unknowns, max_iterations);
+  // A kink can be a minimum of its own with a lower one close behind it: look there.
+  for (double leap = kFirstLeap; descent.at_kink && leap <= kLastLeap; leap *= 2.0) {
+    const double reached = fit.squares();
+    fit.gauss_newton_step(beyond_);
+    beyond_ = unknowns + leap * beyond_;
+    const Descent other = descend(fit, beyond_, kLeapIterations);
+    descent.iterations += other.iterations;
+    if (other.possible && fit.squares() < reached - kTolerance) {
+      unknowns = beyond_;
+      descent.at_kink = other.at_kink;
+      leap = 0.5 * kFirstLeap;
+    } else {
+      fit.evaluate(unknowns);
+    }
+    if (descent.iterations >= max_iterations) break;
   }
   return descent;
 }

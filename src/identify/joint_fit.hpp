@@ -55,11 +55,16 @@ class JointFit {
   double squares() const;
   /// By how much a Gauss-Newton step would lower squares().
   double expected_decrease() const;
+  /// That step, into NumParameters() rows.
+  void gauss_newton_step(Eigen::VectorXd& step) const;
   JointNormal joint_normal() const { return eliminate_initial_states(now_.normals, options_.held); }
   const Normal& normal(std::size_t run) const { return now_.normals[run]; }
   /// Mean squared residuals (force N^2, velocity rad^2/s^2), weighted if the loss is robust: (9), its diagonal.
   Eigen::Vector2d mean_squares() const;
   Eigen::Vector2d mean_squares(std::size_t run) const;
+  /// Whether the residuals of force or velocity hang together more than white noise would once in some
+  /// thousand fits.
+  bool coloured() const;
   /// How far each run's initial state is from the centre of its prior.
   std::vector<Eigen::Vector2d> prior_distances() const;
   std::span<LinearRun> linear_runs() { return now_.linear; }
@@ -96,15 +101,20 @@ bool within_bounds(const ParameterVector& theta);
 struct Descent {
   bool possible = false;  ///< the fit can be evaluated at the unknowns reached
   bool settled = false;   ///< nothing more to gain
+  bool at_kink = false;   ///< though the slopes there promise more
   int iterations = 0;
 };
 
 /// Minimises the fit from `unknowns` by ceres::TinySolver.
 class Minimiser {
  public:
+  explicit Minimiser(const JointFit& fit) : beyond_(fit.NumParameters()) {}
   Descent operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations);
 
  private:
+  Descent descend(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations);
+
+  Eigen::VectorXd beyond_;
   ceres::TinySolver<JointFit> solver_;
 };
 

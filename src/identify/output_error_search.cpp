@@ -15,8 +15,14 @@ constexpr double kNoiseTolerance = 0.2;
 constexpr double kWeightTolerance = 0.02;
 
 /// More attempts from other starts follow if a fit's residuals exceed the noise seen without a model this
-/// often.
+/// often, or are not white.
 constexpr double kPoorFit = 1.25;
+
+/// A filter that believes in this much torque noise follows the readings also where the parameters are wrong:
+/// its cost is free of the minima that differ in when the simulated brake sticks, and leads near the right one.
+constexpr double kSmoothingTorque_Nm = 0.2;
+constexpr int kSmoothingRounds = 3;
+constexpr int kSmoothingIterations = 10;
 
 /// Two fits whose negative log-likelihoods per row differ by less are in the same minimum.
 constexpr double kSameMinimum = 1e-5;
@@ -24,7 +30,7 @@ constexpr double kSameMinimum = 1e-5;
 }  // namespace
 
 OutputErrorSearch::OutputErrorSearch(std::span<const Run> runs, const EstimatorOptions& options)
-    : runs_(runs), options_(options), fit_(runs, options) {
+    : runs_(runs), options_(options), fit_(runs, options), minimise_(fit_) {
   const SensorNoise seen = noise_without_model(runs);
   seen_ = variances_of({seen, 0.0});
 }
@@ -72,50 +78,53 @@ JointFit& OutputErrorSearch::fit_at(const OutputErrorAttempt& attempt) {
 
 bool OutputErrorSearch::poor(const OutputErrorAttempt& attempt) {
   if (!attempt.settled) return true;
-  const Eigen::Vector2d squares = fit_at(attempt).mean_squares();
+  const JointFit& fit = fit_at(attempt);
+  const Eigen::Vector2d squares = fit.mean_squares();
   return squares[0] > kPoorFit * kPoorFit * seen_.force ||
-         squares[1] > kPoorFit * kPoorFit * seen_.velocity;
+         squares[1] > kPoorFit * kPoorFit * seen_.velocity || fit.coloured();
+}
+
+ParameterVector OutputErrorSearch::filtered_start(const ParameterVector& theta) {
+  Eigen::VectorXd unknowns = fit_.start_from(theta);
+  Variances noise = seen_;
+  noise.torque = kSmoothingTorque_Nm * kSmoothingTorque_Nm;
+  for (int round = 0; round < kSmoothingRounds; ++round) {
+    if (!fit_.use_innovations(unknowns, noise)) break;
+    iterations_ += minimise_(fit_, unknowns, kSmoothingIterations).iterations;
+  }
+  return fit_.theta_of(unknowns);
 }
 
 OutputErrorAttempt OutputErrorSearch::best() {
   const ParameterVector& given = options_.start.theta;
   OutputErrorAttempt kept = attempt(given);
   if (!poor(kept)) return kept;
-  const double first_score = kept.score;
-  double last_score = first_score;
   const auto consider = [&](ParameterVector theta) {
     for (int i = 0; i < kTheta; ++i)
       if (options_.held[static_cast<std::size_t>(i)]) theta[i] = given[i];
-    if (!within_bounds(theta)) return;
+    if (!within_bounds(theta)) return false;
     OutputErrorAttempt other = attempt(theta);
-    last_score = other.score;
+    const bool same = std::abs(other.score - kept.score) < kSameMinimum;
     if (other.score < kept.score) kept = std::move(other);
+    return same;
   };
-  consider(equation_error_start(runs_, options_.start,
-                                {std::sqrt(seen_.force), std::sqrt(seen_.velocity)}));
   // Torque noise makes the residuals of the right parameters larger than the sensors' noise too; that unlike
-  // starts end alike tells this from a wrong minimum. Whether the brake stuck at some instant is what minima
-  // differ in most, and both starts may have it wrong: so also from less and from more static friction than
-  // found.
-  if (kept.settled && std::abs(last_score - first_score) < kSameMinimum) {
-    const double score = kept.score;
-    const ParameterVector found = fit_.theta_of(kept.unknowns);
-    for (const double factor : {0.75, 1.35}) {
-      ParameterVector theta = found;
-      theta[Ts0] *= factor;
-      consider(theta);
-    }
-    if (score - kept.score < kSameMinimum) return kept;
+  // starts end alike tells this from a wrong minimum.
+  const ParameterVector by_equation_error =
+      equation_error_start(runs_, options_.start, {std::sqrt(seen_.force), std::sqrt(seen_.velocity)});
+  int alike = 0;
+  for (const ParameterVector& start :
+       {filtered_start(given), by_equation_error, filtered_start(by_equation_error), nominal_parameters(),
+        filtered_start(nominal_parameters())}) {
+    alike += consider(start);
+    if (alike >= 2 || !poor(kept)) return kept;
   }
-  consider(nominal_parameters());
-  constexpr double kFactors[4][kParameterCount] = {{1.5, 0.7, 1.5, 0.7, 1.5, 0.7, 1.5},
-                                                   {0.7, 1.3, 0.6, 1.5, 0.7, 1.3, 0.6},
-                                                   {0.7, 0.7, 1.5, 1.5, 0.6, 0.8, 1.4},
-                                                   {1.3, 1.3, 0.6, 0.6, 1.5, 1.2, 0.6}};
-  for (const auto& factors : kFactors) {
-    ParameterVector theta = given;
-    for (int i = 0; i < kTheta; ++i) theta[i] *= factors[i];
-    consider(theta);
+  // Whether the brake stuck at some instant is what minima differ in most.
+  const ParameterVector found = fit_.theta_of(kept.unknowns);
+  for (const double factor : {0.75, 1.35}) {
+    ParameterVector theta = found;
+    theta[Ts0] *= factor;
+    consider(filtered_start(theta));
   }
   return kept;
 }

@@ -28,6 +28,8 @@ class OutputErrorSearch {
 
  private:
   OutputErrorAttempt attempt(const ParameterVector& theta);
+  /// Near the right minimum, more often than not, from a start that is not.
+  ParameterVector filtered_start(const ParameterVector& theta);
   bool poor(const OutputErrorAttempt& attempt);
   Variances known_or(const Eigen::Vector2d& mean_squares) const;
 

@@ -42,7 +42,7 @@ KnownVariances known_by(const EstimatorOptions& options) {
 
 class PredictionErrorSearch {
  public:
-  PredictionErrorSearch(JointFit& fit, const EstimatorOptions& options) : fit_(fit), options_(options) {}
+  PredictionErrorSearch(JointFit& fit, const EstimatorOptions& options) : fit_(fit), options_(options), minimise_(fit) {}
 
   /// Alternates between the parameters under fixed gains and the noise under fixed parameters: to first order
   /// neither knows of the other, so few rounds suffice.
