@@ -50,7 +50,7 @@ int run_reproduction(ReproduceOptions options) {
     return cli::refuse(written.error());
   if (options.json == "-") return cli::kSuccess;
   for (const reproduce::Claim& claim : reproduce::claims_of(*study, reproduce::findings_of(*study)))
-    fmt::print("{:<17}  {:<18} {}\n", claim.verdict, claim.where, claim.paper);
+    fmt::print("{:<18}  {:<17}  {}\n", claim.verdict, claim.where, claim.paper);
   fmt::print("\n{} ({:.0f} s)\n", options.out, study->wall_s);
   return cli::kSuccess;
 }
