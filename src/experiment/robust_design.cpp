@@ -42,7 +42,7 @@ constexpr std::size_t kElite = 6;
 constexpr std::size_t kRoundStarts = 8;
 constexpr int kSeedingStarts = 48;  ///< of each cautious D design
 
-constexpr double kStepLevel_N = 2500.0;
+constexpr double kStepLevel_N = 1000.0;
 constexpr double kStepRise_s = 0.01;
 constexpr double kLeastHold = 1.0 / 3.0;  ///< of the length
 
@@ -375,6 +375,16 @@ RobustGain gain_over(const RobustEvaluation& baseline, const RobustEvaluation& d
 
 Result<PlainStep> best_step(const RobustOptions& options, std::span<const BrakeParameters> brakes) {
   const double length_s = static_cast<double>(options.samples) * kPeriod_s;
+  const ClosedLoop loop(options.nominal, options.limits.torque_Nm);
+  const auto keeps_limits = [&](const Reference& reference) {
+    TrackedRun tracked;
+    return std::all_of(brakes.begin(), brakes.end(), [&](const BrakeParameters& brake) {
+      loop.track(reference, brake, tracked);
+      return tracked.bounded && tracked.torque_max_Nm <= options.limits.torque_Nm &&
+             tracked.force_max_N <= options.limits.force_N &&
+             tracked.velocity_max_rad_s <= options.limits.velocity_rad_s;
+    });
+  };
   PlainStep best;
   double best_logdet = kInfinity;
   for (double force_N = kStepLevel_N; force_N < options.limits.force_N; force_N += kStepLevel_N) {
@@ -387,14 +397,11 @@ Result<PlainStep> best_step(const RobustOptions& options, std::span<const BrakeP
       for (auto* column :
            {&run->time_s, &run->torque_Nm, &run->velocity_rad_s, &run->force_N, &run->position_rad})
         column->resize(options.samples);
-      const Result<RobustEvaluation> evaluation =
-          evaluate_robust(*run, options.nominal, brakes, options.noise, options.limits.torque_Nm);
-      if (!evaluation || evaluation->torque_max_Nm > options.limits.torque_Nm ||
-          evaluation->velocity_max_rad_s > options.limits.velocity_rad_s ||
-          evaluation->force_max_N > options.limits.force_N)
-        continue;
-      if (evaluation->expected_logdet < best_logdet) {
-        best_logdet = evaluation->expected_logdet;
+      const Result<Reference> reference = build_reference(*run, options.nominal);
+      if (!reference || !keeps_limits(*reference)) continue;
+      const RobustEvaluation evaluation = evaluate_reference(*reference, loop, brakes, options.noise);
+      if (evaluation.expected_logdet < best_logdet) {
+        best_logdet = evaluation.expected_logdet;
         best = {force_N, rise_s, std::move(*run)};
       }
       break;  // a slower rise to the same force is no longer a step
@@ -474,7 +481,7 @@ RobustSummary design_robust_experiment(const RobustOptions& options) {
   // Judged by brakes that the search did not see.
   const std::vector<BrakeParameters> others =
       draw_prior(options.nominal, options.verify_brakes, ~options.seed);
-  const Result<PlainStep> step = best_step(options, brakes);
+  const Result<PlainStep> step = best_step(options, others);
   if (!step) {
     summary.message = step.error().message;
   } else if (elite.empty()) {

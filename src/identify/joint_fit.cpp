@@ -294,22 +294,28 @@ Eigen::Vector2d JointFit::mean_squares() const {
   return sum / rows;
 }
 
-bool JointFit::coloured() const {
-  constexpr int kLags = 3;
+void LagSums::add(const Eigen::Vector2d& residual) {
+  square_ += residual.cwiseAbs2();
+  for (int lag = 0; lag < std::min(before_, kLags); ++lag) lagged_ += residual.cwiseProduct(past_[lag]);
+  for (int lag = kLags - 1; lag > 0; --lag) past_[lag] = past_[lag - 1];
+  past_[0] = residual;
+  ++before_;
+  rows_ += 1.0;
+}
+
+bool LagSums::white() const {
   constexpr double kDeviations = 3.3;
-  Eigen::Vector2d square = Eigen::Vector2d::Zero();
-  Eigen::Vector2d lagged = Eigen::Vector2d::Zero();
-  double rows = 0.0;
+  // Each correlation has a variance of 1/n if the residuals are white.
+  return (lagged_.array() < kDeviations * std::sqrt(kLags / rows_) * square_.array()).all();
+}
+
+bool JointFit::white() const {
+  LagSums sums;
   for (const LinearRun& run : now_.linear) {
-    for (std::size_t k = 0; k < run.rows.size(); ++k) {
-      square += run.rows[k].residual.cwiseAbs2();
-      for (std::size_t lag = 1; lag <= std::min<std::size_t>(kLags, k); ++lag)
-        lagged += run.rows[k].residual.cwiseProduct(run.rows[k - lag].residual);
-    }
-    rows += static_cast<double>(run.rows.size());
+    sums.start_run();
+    for (const LinearRow& row : run.rows) sums.add(row.residual);
   }
-  // The sum of three correlations, each with a variance of 1/n if the residuals are white.
-  return (lagged.array() > kDeviations * std::sqrt(kLags / rows) * square.array()).any();
+  return sums.white();
 }
 
 std::vector<Eigen::Vector2d> JointFit::prior_distances() const {
@@ -348,6 +354,7 @@ Descent Minimiser::operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_
   solver_.options.function_tolerance = kTolerance;
   solver_.options.parameter_tolerance = 1e-9;
   Descent descent = descend(fit, unknowns, max_iterations);
+  if (kinks_ == Kinks::Accept) return descent;
   // A kink can be a minimum of its own with a lower one close behind it: look there.
   for (double leap = kFirstLeap; descent.at_kink && leap <= kLastLeap; leap *= 2.0) {
     const double reached = fit.squares();

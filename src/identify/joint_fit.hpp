@@ -11,6 +11,23 @@
 
 namespace clampd::identify {
 
+/// Whether a series of reading pairs hangs together more than white noise would once in some thousand cases:
+/// the sum of its first three autocorrelations, of each reading.
+class LagSums {
+ public:
+  void start_run() { before_ = 0; }
+  void add(const Eigen::Vector2d& residual);
+  bool white() const;
+
+ private:
+  static constexpr int kLags = 3;
+  Eigen::Vector2d past_[kLags];
+  int before_ = 0;
+  double rows_ = 0.0;
+  Eigen::Vector2d square_ = Eigen::Vector2d::Zero();
+  Eigen::Vector2d lagged_ = Eigen::Vector2d::Zero();
+};
+
 /// The weighted residuals of all runs as a function of the unknowns, for ceres::TinySolver: open-loop, or the
 /// innovations of filters with gains that stay as they are. Each run's 2n residuals are compressed to the ten
 /// rows of the triangular factor of [J e]: the same cost, gradient and Gauss-Newton matrix, and the solver's
@@ -62,9 +79,7 @@ class JointFit {
   /// Mean squared residuals (force N^2, velocity rad^2/s^2), weighted if the loss is robust: (9), its diagonal.
   Eigen::Vector2d mean_squares() const;
   Eigen::Vector2d mean_squares(std::size_t run) const;
-  /// Whether the residuals of force or velocity hang together more than white noise would once in some
-  /// thousand fits.
-  bool coloured() const;
+  bool white() const;
   /// How far each run's initial state is from the centre of its prior.
   std::vector<Eigen::Vector2d> prior_distances() const;
   std::span<LinearRun> linear_runs() { return now_.linear; }
@@ -108,12 +123,14 @@ struct Descent {
 /// Minimises the fit from `unknowns` by ceres::TinySolver.
 class Minimiser {
  public:
-  explicit Minimiser(const JointFit& fit) : beyond_(fit.NumParameters()) {}
+  enum class Kinks { Accept, LookBeyond };
+  Minimiser(const JointFit& fit, Kinks kinks) : kinks_(kinks), beyond_(fit.NumParameters()) {}
   Descent operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations);
 
  private:
   Descent descend(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations);
 
+  Kinks kinks_;
   Eigen::VectorXd beyond_;
   ceres::TinySolver<JointFit> solver_;
 };

@@ -22,7 +22,6 @@ constexpr int kMostHalvings = 6;
 /// uncertainty would then be many times too small. Where they tell it, this does not show.
 constexpr double kAwayFromZero = 0.1;
 
-constexpr double kTorqueNoiseStart_Nm = 1e-2;
 
 
 /// Of each variance. Torque noise of 0.01 mN m moves nothing.
@@ -71,6 +70,36 @@ double restricted_likelihood(std::span<LinearRun> runs, std::span<const ReadingW
                 joint.gradient.dot(factor.solve(joint.gradient)));
 }
 
+namespace {
+
+/// The unknowns' change that the data ask of a run, given the parameters' change.
+Eigen::Matrix<double, kUnknowns, 1> step_of_run(const Normal& normal, const ParameterVector& step) {
+  Eigen::Matrix<double, kUnknowns, 1> unknowns;
+  unknowns << step, -elimination(normal).transpose() * step - normal.block<2, 2>(kTheta, kTheta).inverse() *
+                                                                  normal.block<2, 1>(kTheta, kDataColumn);
+  return unknowns;
+}
+
+/// Whether the innovations of either reading are white, runs refitted to first order.
+bool is_white(std::span<const LinearRun> runs, std::span<const Normal> normals, const Held& held) {
+  const Posterior posterior = solve(eliminate_initial_states(normals, held), held);
+  LagSums sums;
+  for (std::size_t r = 0; r < runs.size(); ++r) {
+    Eigen::Matrix<double, kUnknowns + 1, 1> refitted;
+    refitted << step_of_run(normals[r], posterior.step), 1.0;
+    sums.start_run();
+    for (std::size_t k = 0; k < runs[r].rows.size(); ++k) {
+      const auto at = static_cast<Eigen::Index>(2 * k);
+      const Eigen::Matrix2d& weight = runs[r].gains[k].weight;
+      sums.add((runs[r].innovations.middleCols<2>(at).transpose() * refitted)
+                   .cwiseProduct(weight.diagonal().cwiseSqrt()));
+    }
+  }
+  return sums.white();
+}
+
+}  // namespace
+
 LikelihoodSlopes restricted_likelihood_slopes(std::span<LinearRun> runs,
                                               std::span<const ReadingWeights> weights,
                                               std::span<const Normal> normals, const Held& held) {
@@ -83,8 +112,7 @@ LikelihoodSlopes restricted_likelihood_slopes(std::span<LinearRun> runs,
     const Eigen::Matrix2d initial = normal.block<2, 2>(kTheta, kTheta).inverse();
     // Second moment of (unknowns, 1) given the data.
     Eigen::Matrix<double, kUnknowns + 1, 1> mean;
-    mean << posterior.step,
-        -coefficients.transpose() * posterior.step - initial * normal.block<2, 1>(kTheta, kDataColumn), 1.0;
+    mean << step_of_run(normal, posterior.step), 1.0;
     Normal moment = mean * mean.transpose();
     Eigen::Matrix<double, kUnknowns, kTheta> spread;
     spread << ParameterMatrix::Identity(), -coefficients.transpose();
@@ -129,6 +157,7 @@ class RestrictedLikelihood {
     return away_from_zero_ > 0.0 ? likelihood - away_from_zero_ * std::log(variances[2]) : likelihood;
   }
 
+  bool white() const { return is_white(runs_, normals_, held_); }
   /// At the point evaluated last.
   LikelihoodSlopes slopes() {
     LikelihoodSlopes slopes = restricted_likelihood_slopes(runs_, weights_, normals_, held_);
@@ -205,10 +234,10 @@ NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeight
   for (int i = 0; i < 3; ++i)
     if (!fixed[i]) values[i] = std::max(values[i], smallest(i));
   const double criterion = minimise(likelihood, fixed, max_iterations, values);
-  return {variances_from(values), criterion};
+  return {variances_from(values), likelihood.white(), criterion};
 }
 
-Variances noise_of_output_errors(JointFit& fit, const EstimatorOptions& options) {
+NoiseFit noise_of_output_errors(JointFit& fit, const EstimatorOptions& options) {
   const KnownVariances known{options.noise_force_N.has_value(), options.noise_velocity_rad_s.has_value(),
                              options.noise_torque_Nm.has_value()};
   Variances start = fit.variances();
@@ -217,7 +246,7 @@ Variances noise_of_output_errors(JointFit& fit, const EstimatorOptions& options)
   const NoiseFit found = estimate_noise(fit.linear_runs(), fit.weights(), fit.prior_distances(), options.held,
                                         start, known, kScoringIterations);
   fit.restore_output_errors();
-  return found.variances;
+  return found;
 }
 
 }  // namespace clampd::identify

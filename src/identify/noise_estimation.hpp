@@ -6,6 +6,9 @@
 
 namespace clampd::identify {
 
+/// Where the search for the torque's noise starts.
+inline constexpr double kTorqueNoiseStart_Nm = 1e-2;
+
 /// Which variances are known and stay.
 struct KnownVariances {
   bool force = false;
@@ -18,6 +21,7 @@ inline constexpr int kScoringIterations = 12;
 
 struct NoiseFit {
   Variances variances;
+  bool white = false;      ///< the innovations that are left, parameters refitted, do not hang together
   double criterion = 0.0;  ///< minus the restricted log-likelihood, less a constant
   int iterations = 0;
 };
@@ -48,6 +52,6 @@ LikelihoodSlopes restricted_likelihood_slopes(std::span<LinearRun> runs,
 
 /// The noise of readings and torque at the fit's last evaluated point, what the options do not know; the fit
 /// keeps its weights.
-Variances noise_of_output_errors(JointFit& fit, const EstimatorOptions& options);
+NoiseFit noise_of_output_errors(JointFit& fit, const EstimatorOptions& options);
 
 }  // namespace clampd::identify

@@ -3,7 +3,6 @@
 #include <cmath>
 
 #include "src/identify/conclusion.hpp"
-#include "src/identify/noise_estimation.hpp"
 #include "src/identify/output_error_search.hpp"
 
 namespace clampd {
@@ -16,15 +15,15 @@ Estimate identify_output_error(std::span<const Run> runs, const EstimatorOptions
     return estimate;
   }
   identify::OutputErrorSearch search(runs, options);
-  const identify::OutputErrorAttempt attempt = search.best();
+  identify::OutputErrorAttempt attempt = search.best();
   estimate.iterations = search.iterations();
   if (!std::isfinite(attempt.score)) {
     estimate.message =
         "the model cannot follow the runs from any start: its simulation diverges under their torque";
   } else {
-    identify::JointFit& fit = search.fit_at(attempt);
-    const identify::Variances variances = identify::noise_of_output_errors(fit, options);
-    identify::conclude(fit, attempt.unknowns, variances, attempt.settled, options, estimate);
+    const identify::Variances variances = search.noise_at(attempt).variances;
+    identify::conclude(search.fit_at(attempt), attempt.unknowns, variances, attempt.settled, options,
+                       estimate);
   }
   estimate.wall_s = stopwatch.seconds();
   return estimate;

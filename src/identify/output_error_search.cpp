@@ -24,13 +24,16 @@ constexpr double kSmoothingTorque_Nm = 0.2;
 constexpr int kSmoothingRounds = 3;
 constexpr int kSmoothingIterations = 10;
 
+/// More torque noise than any drive has: a wrong minimum taken for noise.
+constexpr double kLargestTorque_Nm = 0.1;
+
 /// Two fits whose negative log-likelihoods per row differ by less are in the same minimum.
 constexpr double kSameMinimum = 1e-5;
 
 }  // namespace
 
 OutputErrorSearch::OutputErrorSearch(std::span<const Run> runs, const EstimatorOptions& options)
-    : runs_(runs), options_(options), fit_(runs, options), minimise_(fit_) {
+    : runs_(runs), options_(options), fit_(runs, options), minimise_(fit_, Minimiser::Kinks::LookBeyond) {
   const SensorNoise seen = noise_without_model(runs);
   seen_ = variances_of({seen, 0.0});
 }
@@ -76,12 +79,30 @@ JointFit& OutputErrorSearch::fit_at(const OutputErrorAttempt& attempt) {
   return fit_;
 }
 
-bool OutputErrorSearch::poor(const OutputErrorAttempt& attempt) {
+const NoiseFit& OutputErrorSearch::noise_at(OutputErrorAttempt& attempt) {
+  if (!attempt.noise) attempt.noise = noise_of_output_errors(fit_at(attempt), options_);
+  return *attempt.noise;
+}
+
+Variances OutputErrorSearch::variances_without_model() const {
+  Variances variances = known_or({seen_.force, seen_.velocity});
+  const double torque = options_.noise_torque_Nm.value_or(kTorqueNoiseStart_Nm);
+  variances.torque = torque * torque;
+  return variances;
+}
+
+bool OutputErrorSearch::plausible(const Variances& variances) const {
+  return variances.force < kPoorFit * kPoorFit * seen_.force &&
+         variances.velocity < kPoorFit * kPoorFit * seen_.velocity;
+}
+
+bool OutputErrorSearch::poor(OutputErrorAttempt& attempt) {
   if (!attempt.settled) return true;
   const JointFit& fit = fit_at(attempt);
   const Eigen::Vector2d squares = fit.mean_squares();
-  return squares[0] > kPoorFit * kPoorFit * seen_.force ||
-         squares[1] > kPoorFit * kPoorFit * seen_.velocity || fit.coloured();
+  if (plausible({squares[0], squares[1], 0.0}) && fit.white()) return false;
+  const NoiseFit& noise = noise_at(attempt);
+  return !(noise.white && plausible(noise.variances) && noise.variances.torque < kLargestTorque_Nm * kLargestTorque_Nm);
 }
 
 ParameterVector OutputErrorSearch::filtered_start(const ParameterVector& theta) {
@@ -95,36 +116,29 @@ ParameterVector OutputErrorSearch::filtered_start(const ParameterVector& theta) 
   return fit_.theta_of(unknowns);
 }
 
-OutputErrorAttempt OutputErrorSearch::best() {
-  const ParameterVector& given = options_.start.theta;
-  OutputErrorAttempt kept = attempt(given);
-  if (!poor(kept)) return kept;
-  const auto consider = [&](ParameterVector theta) {
-    for (int i = 0; i < kTheta; ++i)
-      if (options_.held[static_cast<std::size_t>(i)]) theta[i] = given[i];
-    if (!within_bounds(theta)) return false;
-    OutputErrorAttempt other = attempt(theta);
-    const bool same = std::abs(other.score - kept.score) < kSameMinimum;
-    if (other.score < kept.score) kept = std::move(other);
-    return same;
-  };
-  // Torque noise makes the residuals of the right parameters larger than the sensors' noise too; that unlike
-  // starts end alike tells this from a wrong minimum.
+std::vector<ParameterVector> OutputErrorSearch::other_starts() {
   const ParameterVector by_equation_error =
       equation_error_start(runs_, options_.start, {std::sqrt(seen_.force), std::sqrt(seen_.velocity)});
+  std::vector<ParameterVector> starts{filtered_start(options_.start.theta), by_equation_error,
+                                      filtered_start(by_equation_error), nominal_parameters(),
+                                      filtered_start(nominal_parameters())};
+  std::erase_if(starts, [](const ParameterVector& theta) { return !within_bounds(theta); });
+  for (ParameterVector& theta : starts)
+    for (int i = 0; i < kTheta; ++i)
+      if (options_.held[static_cast<std::size_t>(i)]) theta[i] = options_.start.theta[i];
+  return starts;
+}
+
+OutputErrorAttempt OutputErrorSearch::best() {
+  OutputErrorAttempt kept = first();
+  if (!poor(kept)) return kept;
   int alike = 0;
-  for (const ParameterVector& start :
-       {filtered_start(given), by_equation_error, filtered_start(by_equation_error), nominal_parameters(),
-        filtered_start(nominal_parameters())}) {
-    alike += consider(start);
+  for (const ParameterVector& start : other_starts()) {
+    OutputErrorAttempt other = attempt(start);
+    // Should nothing explain the residuals, unlike starts that end alike must do.
+    alike += std::abs(other.score - kept.score) < kSameMinimum;
+    if (other.score < kept.score) kept = std::move(other);
     if (alike >= 2 || !poor(kept)) return kept;
-  }
-  // Whether the brake stuck at some instant is what minima differ in most.
-  const ParameterVector found = fit_.theta_of(kept.unknowns);
-  for (const double factor : {0.75, 1.35}) {
-    ParameterVector theta = found;
-    theta[Ts0] *= factor;
-    consider(filtered_start(theta));
   }
   return kept;
 }

@@ -1,9 +1,11 @@
 #pragma once
 
 #include <limits>
+#include <optional>
 #include <span>
+#include <vector>
 
-#include "src/identify/joint_fit.hpp"
+#include "src/identify/noise_estimation.hpp"
 
 namespace clampd::identify {
 
@@ -13,7 +15,8 @@ struct OutputErrorAttempt {
   Variances weights;  ///< R of the fit, by (9) or as known
   /// Negative log-likelihood per row; infinite if the model cannot be simulated there.
   double score = std::numeric_limits<double>::infinity();
-  bool settled = false;  ///< neither cost nor noise changed any more before the iterations ran out
+  std::optional<NoiseFit> noise;  ///< of readings and torque there, if it was looked for
+  bool settled = false;           ///< neither cost nor noise changed any more before the iterations ran out
 };
 
 /// The output error method's fits from several starts.
@@ -22,6 +25,18 @@ class OutputErrorSearch {
   OutputErrorSearch(std::span<const Run> runs, const EstimatorOptions& options);
 
   OutputErrorAttempt best();
+  /// From the given start only.
+  OutputErrorAttempt first() { return attempt(options_.start.theta); }
+  /// Unlike starts, worst last, for what the given one cannot reach.
+  std::vector<ParameterVector> other_starts();
+  /// Neither white noise on the readings nor that with torque noise explains the residuals there.
+  bool poor(OutputErrorAttempt& attempt);
+  /// Finds attempt.noise.
+  const NoiseFit& noise_at(OutputErrorAttempt& attempt);
+  /// Of the readings; of the torque, a guess.
+  Variances variances_without_model() const;
+  /// No more than what is seen without any model.
+  bool plausible(const Variances& variances) const;
   /// The fit, evaluated at an attempt's result.
   JointFit& fit_at(const OutputErrorAttempt& attempt);
   int iterations() const { return iterations_; }
@@ -30,7 +45,6 @@ class OutputErrorSearch {
   OutputErrorAttempt attempt(const ParameterVector& theta);
   /// Near the right minimum, more often than not, from a start that is not.
   ParameterVector filtered_start(const ParameterVector& theta);
-  bool poor(const OutputErrorAttempt& attempt);
   Variances known_or(const Eigen::Vector2d& mean_squares) const;
 
   std::span<const Run> runs_;

@@ -18,7 +18,8 @@ namespace {
 /// moves the parameters by far less than their uncertainty.
 constexpr double kNoiseTolerance = 0.02;
 constexpr double kWeightTolerance = 0.02;
-constexpr int kMostRounds = 12;
+constexpr int kUndampedRounds = 3;
+constexpr int kMostRounds = 20;
 
 /// Where the prediction error method ended from one start.
 struct Attempt {
@@ -26,6 +27,7 @@ struct Attempt {
   Variances variances;
   double criterion = std::numeric_limits<double>::infinity();  ///< minus the restricted log-likelihood
   bool settled = false;
+  bool white = false;  ///< the innovations
 };
 
 double change_between(const Variances& a, const Variances& b) {
@@ -42,7 +44,7 @@ KnownVariances known_by(const EstimatorOptions& options) {
 
 class PredictionErrorSearch {
  public:
-  PredictionErrorSearch(JointFit& fit, const EstimatorOptions& options) : fit_(fit), options_(options), minimise_(fit) {}
+  PredictionErrorSearch(JointFit& fit, const EstimatorOptions& options) : fit_(fit), options_(options), minimise_(fit, Minimiser::Kinks::Accept) {}
 
   /// Alternates between the parameters under fixed gains and the noise under fixed parameters: to first order
   /// neither knows of the other, so few rounds suffice.
@@ -58,9 +60,16 @@ class PredictionErrorSearch {
           estimate_noise(fit_.linear_runs(), fit_.weights(), fit_.prior_distances(), options_.held,
                          result.variances, known_by(options_), kScoringIterations);
       result.criterion = found.criterion;
+      result.white = found.white;
       result.settled = descent.settled && reweighted < kWeightTolerance &&
                        change_between(result.variances, found.variances) < kNoiseTolerance;
-      result.variances = found.variances;
+      // Kinks of the filter can make the two answer each other for ever: then in ever smaller steps.
+      const double share = 1.0 / std::max(1, round - kUndampedRounds);
+      const auto towards = [&](double from, double to) { return from * std::pow(to / from, share); };
+      result.variances = {towards(result.variances.force, found.variances.force),
+                          towards(result.variances.velocity, found.variances.velocity),
+                          options_.noise_torque_Nm ? found.variances.torque
+                                                   : towards(result.variances.torque, found.variances.torque)};
     }
     return result;
   }
@@ -87,22 +96,29 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
     return estimate;
   }
   OutputErrorSearch output_errors(runs, options);
-  const OutputErrorAttempt warm = output_errors.best();
-  estimate.iterations = output_errors.iterations();
-  if (std::isfinite(warm.score)) {
-    JointFit& fit = output_errors.fit_at(warm);
-    PredictionErrorSearch search(fit, options);
-    const Attempt best = search.attempt(warm.unknowns, noise_of_output_errors(fit, options));
-    estimate.iterations += search.iterations();
-    if (std::isfinite(best.criterion) && fit.use_innovations(best.unknowns, best.variances) &&
-        fit.evaluate(best.unknowns))
-      conclude(fit, best.unknowns, best.variances, best.settled, options, estimate);
-    else
-      estimate.message = "the Kalman filter diverges on the runs from every start";
-  } else {
-    estimate.message =
-        "the model cannot follow the runs from any start: its simulation diverges under their torque";
+  OutputErrorAttempt warm = output_errors.first();
+  JointFit& fit = output_errors.fit_at(warm);
+  PredictionErrorSearch search(fit, options);
+  Attempt best;
+  if (std::isfinite(warm.score))
+    best = search.attempt(warm.unknowns, output_errors.noise_at(warm).variances);
+  const auto good = [&](const Attempt& attempt) {
+    return attempt.settled && attempt.white && output_errors.plausible(attempt.variances);
+  };
+  if (!good(best)) {
+    const Variances start = output_errors.variances_without_model();
+    for (const ParameterVector& theta : output_errors.other_starts()) {
+      Attempt other = search.attempt(fit.start_from(theta), start);
+      if (other.criterion < best.criterion) best = std::move(other);
+      if (good(best)) break;
+    }
   }
+  estimate.iterations = output_errors.iterations() + search.iterations();
+  if (!std::isfinite(best.criterion) || !fit.use_innovations(best.unknowns, best.variances) ||
+      !fit.evaluate(best.unknowns))
+    estimate.message = "the Kalman filter cannot follow the runs from any start: it diverges under their torque";
+  else
+    conclude(fit, best.unknowns, best.variances, best.settled, options, estimate);
   estimate.wall_s = stopwatch.seconds();
   return estimate;
 }
