@@ -105,7 +105,10 @@ ordered_json check_json(const CheckRecord& record) {
       {"instruments", std::move(instruments)},
       {"fault", to_string(record.fault)},
       {"noise",
-       {{"force_N", number(record.noise_force_N)}, {"velocity_rad_s", number(record.noise_velocity_rad_s)}}},
+       {{"force_N", number(record.noise_force_N)},
+        {"velocity_rad_s", number(record.noise_velocity_rad_s)},
+        {"torque_Nm", number(record.noise_torque_Nm)}}},
+      {"method", record.method},
       {"covariance_normalised", matrix_json(record.covariance_normalised)},
       {"runs", std::move(runs)}};
 }

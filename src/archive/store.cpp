@@ -20,7 +20,7 @@ namespace clampd {
 namespace {
 
 /// Step i brings a database of version i to i + 1 (PRAGMA user_version). Steps are never changed, only added.
-constexpr std::array<const char*, 1> kMigrations{R"sql(
+constexpr std::array<const char*, 2> kMigrations{R"sql(
 CREATE TABLE checks (
   id TEXT PRIMARY KEY NOT NULL,
   serial TEXT NOT NULL, part_number TEXT NOT NULL, batch TEXT NOT NULL,
@@ -53,6 +53,10 @@ CREATE TABLE flight_recorder (
   force_reference_N REAL, lateness_ns INTEGER NOT NULL, trajectory_index INTEGER NOT NULL, repeat INTEGER NOT NULL,
   state INTEGER NOT NULL, phase INTEGER NOT NULL, fault INTEGER NOT NULL,
   PRIMARY KEY (check_id, position)) STRICT;
+)sql",
+                                                 R"sql(
+ALTER TABLE checks ADD COLUMN method TEXT NOT NULL DEFAULT 'oem';
+ALTER TABLE checks ADD COLUMN noise_torque_Nm REAL;
 )sql"};
 
 tl::unexpected<Error> explained(const std::string& path, const SQLite::Exception& error) {
@@ -182,7 +186,7 @@ void migrate(SQLite::Database& database, int version) {
   }
 }
 
-constexpr int kCheckColumns = 33;
+constexpr int kCheckColumns = 35;
 
 void insert_check(SQLite::Database& database, const CheckRecord& r) {
   Row row(database, "checks", kCheckColumns);
@@ -193,7 +197,7 @@ void insert_check(SQLite::Database& database, const CheckRecord& r) {
       << numbers_text(r.covariance_normalised) << r.noise_force_N << r.noise_velocity_rad_s
       << r.tracking_rms_N << r.timing.ticks << r.timing.skipped << r.timing.lost_samples
       << r.timing.lateness_min_us << r.timing.lateness_avg_us << r.timing.lateness_max_us
-      << r.timing.bus_load;
+      << r.timing.bus_load << r.method << r.noise_torque_Nm;
   row.insert();
 }
 
@@ -205,7 +209,8 @@ void read_check(SQLite::Statement& statement, CheckRecord& r) {
       r.instruments >> r.simulated >> r.started >> r.stopped >> r.duration_s >> r.repeats >> r.verdict >>
       r.marginal >> r.reason >> r.fault >> covariance >> r.noise_force_N >> r.noise_velocity_rad_s >>
       r.tracking_rms_N >> r.timing.ticks >> r.timing.skipped >> r.timing.lost_samples >>
-      r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load;
+      r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >> r.method >>
+      r.noise_torque_Nm;
   r.covariance_normalised = numbers_from(covariance);
 }
 

@@ -6,6 +6,8 @@
 #include <optional>
 
 #include <fmt/format.h>
+#include <Eigen/Cholesky>
+#include <boost/math/distributions/chi_squared.hpp>
 
 #include "src/identify/uncertainty.hpp"
 
@@ -13,11 +15,18 @@ namespace clampd {
 
 namespace {
 
+using identify::Held;
+using identify::kTheta;
+using identify::Uncertainty;
+
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// A standard deviation of so many times the nominal value: the runs say nothing about the parameter, and the
 /// linear covariance itself means nothing any more.
 constexpr double kUndetermined = 3.0;
+
+/// Probability of calling runs different that are not.
+constexpr double kRunsDiffer = 1e-3;
 
 Result<void> check_runs(std::span<const Run> runs) {
   if (runs.empty()) return failure("no run to identify from");
@@ -47,6 +56,20 @@ Result<void> check_runs(std::span<const Run> runs) {
                         run.name, run.time_s[k - 1], run.time_s[k], kLongestGap_s));
   }
   return {};
+}
+
+/// Whether the runs' own scores scatter more than the noise explains: a chi-square test of the one covariance
+/// against the other.
+bool runs_differ(const Uncertainty& uncertainty, const Held& held, std::size_t runs) {
+  if (!uncertainty.covariance_over_runs.allFinite()) return false;
+  ParameterMatrix expected = uncertainty.covariance;
+  for (int i = 0; i < kTheta; ++i)
+    if (held[static_cast<std::size_t>(i)]) expected(i, i) = 1.0;
+  const double free = static_cast<double>(std::count(held.begin(), held.end(), false));
+  const double degrees = static_cast<double>(runs - 1);
+  const double statistic = degrees * expected.ldlt().solve(uncertainty.covariance_over_runs).trace();
+  return statistic > boost::math::quantile(boost::math::complement(
+                         boost::math::chi_squared(degrees * free), kRunsDiffer));
 }
 
 std::optional<Parameter> parameter_at_bound(const ParameterVector& theta) {
@@ -106,7 +129,7 @@ Estimate empty_estimate(const EstimatorOptions& options) {
   estimate.parameters.fixed = options.start.fixed;
   estimate.parameters.theta.setConstant(kNaN);
   for (ParameterMatrix* matrix : {&estimate.covariance_normalised, &estimate.covariance_exact_torque,
-                                  &estimate.covariance_normalised_over_runs})
+                                  &estimate.covariance_over_runs})
     matrix->setConstant(kNaN);
   estimate.offset_sensitivity.setConstant(kNaN);
   for (double* value : {&estimate.noise_force_N, &estimate.noise_velocity_rad_s, &estimate.noise_torque_Nm,
@@ -159,9 +182,11 @@ void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& v
         fmt::format(
             "the runs do not determine {}: its standard deviation would be {:.0f} times its nominal value",
             kParameterTable[static_cast<std::size_t>(vaguest)].name, std::sqrt(variance)));
-  estimate.covariance_normalised = uncertainty.covariance;
+  estimate.runs_differ = runs_differ(uncertainty, options.held, fit.linear_runs().size());
+  estimate.covariance_normalised =
+      estimate.runs_differ ? uncertainty.covariance_over_runs : uncertainty.covariance;
   estimate.covariance_exact_torque = uncertainty.covariance_exact_torque;
-  estimate.covariance_normalised_over_runs = uncertainty.covariance_over_runs;
+  estimate.covariance_over_runs = uncertainty.covariance_over_runs;
   estimate.offset_sensitivity = uncertainty.offset_sensitivity;
   if (!settled)
     return end(Termination::IterationLimit,

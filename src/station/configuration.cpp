@@ -153,6 +153,9 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
     reader.number("settle_s", c.settle_s, 0.0, 10.0);
     reader.number("phase_timeout_s", c.phase_timeout_s, 0.1, 60.0);
     reader.number("torque_limit_Nm", c.torque_limit_Nm, 0.1, kSafeTorque_Nm);
+    std::string method(to_string(c.method));
+    reader.choice("method", method, {"oem", "pem"});
+    c.method = *parse_method(method);
     reader.number("deadline_s", c.deadline_s, 1.0, 3'600.0);
   });
   read_section(document, "validity", path, error, [&](TableReader& reader) {

@@ -102,25 +102,6 @@ Result<void> validate(const CheckRequest& request) {
   return {};
 }
 
-ParameterVector reported_sd_normalised(const Estimate& joint, const std::vector<RunRecord>& runs) {
-  ParameterVector sd = joint.covariance_normalised.diagonal().cwiseSqrt();
-  if (joint.covariance_normalised_over_runs.allFinite())
-    return sd.cwiseMax(joint.covariance_normalised_over_runs.diagonal().cwiseSqrt());
-
-  std::vector<ParameterVector> estimates;
-  const ParameterVector nominal = nominal_parameters();
-  for (const RunRecord& record : runs)
-    if (record.converged)
-      estimates.push_back(Eigen::Map<const ParameterVector>(record.estimate.data()).cwiseQuotient(nominal));
-  if (estimates.size() < 3) return sd;
-  const double n = static_cast<double>(estimates.size());
-  ParameterVector mean = ParameterVector::Zero();
-  for (const ParameterVector& estimate : estimates) mean += estimate / n;
-  ParameterVector squares = ParameterVector::Zero();
-  for (const ParameterVector& estimate : estimates) squares += (estimate - mean).cwiseAbs2();
-  return sd.cwiseMax((squares / (n * (n - 1.0))).cwiseSqrt());
-}
-
 ParameterVector tare_sd_normalised(const Estimate& joint, const Tare& tare) {
   const double mean_of = std::sqrt(static_cast<double>(std::max<std::uint64_t>(tare.samples, 1)));
   const Eigen::Vector2d offset_sd(tare.force_sd_N / mean_of, tare.velocity_sd_rad_s / mean_of);
@@ -150,6 +131,7 @@ CheckSession::CheckSession(const StationConfiguration& configuration, const Limi
   record_.limits_sha256 = limits.sha256;
   record_.trajectory_sha256 = context.trajectory_sha256;
   record_.instruments = instruments_json(configuration.instruments);
+  record_.method = std::string(to_string(configuration.check.method));
   record_.simulated = configuration.simulated_brake;
   record_.started = format_utc(context.started_utc_ns);
   record_.repeats = repeats_;
@@ -188,6 +170,7 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
 
   CheckFacts facts;
   facts.fault = outcome.fault;
+  facts.fault_verdict = outcome.fault_verdict;
   facts.fault_text = std::move(outcome.fault_text);
   facts.deadline_passed = outcome.deadline_passed;
   facts.problem = collector_.problem();
@@ -203,7 +186,7 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   if (facts.estimated) {
     const ParameterVector nominal = nominal_parameters();
     facts.estimate = joint.parameters.theta;
-    facts.sd = (reported_sd_normalised(joint, record.runs).cwiseAbs2() +
+    facts.sd = (joint.covariance_normalised.diagonal() +
                 tare_sd_normalised(joint, collector_.tare()).cwiseAbs2())
                    .cwiseSqrt()
                    .cwiseProduct(nominal.cwiseAbs());
@@ -214,6 +197,7 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
     for (int row = 0; row < joint.covariance_normalised.rows(); ++row)
       for (int column = 0; column < joint.covariance_normalised.cols(); ++column)
         record.covariance_normalised.push_back(joint.covariance_normalised(row, column));
+    record.noise_torque_Nm = joint.noise_torque_Nm;
     record.noise_force_N = joint.noise_force_N;
     record.noise_velocity_rad_s = joint.noise_velocity_rad_s;
   }

@@ -120,6 +120,17 @@ void TableReader::text(std::string_view key, std::string& target, std::size_t lo
   target = value;
 }
 
+void TableReader::choice(std::string_view key, std::string& target,
+                         std::initializer_list<std::string_view> choices) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  if (node->is_string() && std::find(choices.begin(), choices.end(), **node->as_string()) != choices.end()) {
+    target = **node->as_string();
+    return;
+  }
+  refuse(node->source(), fmt::format("{} must be one of \"{}\"", name(key), fmt::join(choices, "\", \"")));
+}
+
 void TableReader::date(std::string_view key, std::string& target) {
   const toml::node* node = find(key);
   if (node == nullptr) return;

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <concepts>
+#include <initializer_list>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -31,6 +32,8 @@ class TableReader {
   void number(std::string_view key, double& target, double least, double most);
   void boolean(std::string_view key, bool& target);
   void text(std::string_view key, std::string& target, std::size_t longest = 200);
+  /// One of the given texts.
+  void choice(std::string_view key, std::string& target, std::initializer_list<std::string_view> choices);
   /// A TOML date or a string YYYY-MM-DD.
   void date(std::string_view key, std::string& target);
   /// Relative paths count from `folder`.

@@ -32,10 +32,6 @@ std::string describe_all(const std::vector<ParameterRecord>& parameters, Predica
 
 /// Why nothing can be said about the brake; empty if something can.
 std::string invalidity(const CheckFacts& facts, const ValiditySettings& validity) {
-  if (facts.fault != FaultCause::None)
-    return facts.fault_text.empty()
-               ? fmt::format("The station stopped the check: {}.", to_string(facts.fault))
-               : facts.fault_text;
   if (facts.samples_lost > validity.lost_samples_max)
     return fmt::format("{} samples got lost ({} allowed): check the bus and the station's load.",
                        facts.samples_lost, validity.lost_samples_max);
@@ -90,17 +86,12 @@ Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValidityS
     return judgement;
   };
 
-  if (facts.fault == FaultCause::OperatorStop)
-    return decide(Verdict::Aborted, false, "The operator stopped the check.");
-  if (facts.fault == FaultCause::EmergencyStop)
-    return decide(Verdict::Aborted, false, "The emergency stop ended the check.");
-  if (facts.fault == FaultCause::SequenceTimeout)
-    return decide(Verdict::Timeout, false,
+  if (facts.fault != FaultCause::None)
+    return decide(facts.fault_verdict, false,
                   facts.fault_text.empty()
-                      ? "A phase of the check did not end in time: contact was not found, or the "
-                        "brake did not come to rest."
+                      ? fmt::format("The station stopped the check: {}.", to_string(facts.fault))
                       : facts.fault_text);
-  if (facts.deadline_passed && facts.fault == FaultCause::None)
+  if (facts.deadline_passed)
     return decide(Verdict::Timeout, false, "The check did not end before its deadline.");
   if (std::string why = invalidity(facts, validity); !why.empty())
     return decide(Verdict::Error, false, std::move(why));

@@ -176,7 +176,7 @@ TEST_F(Store, NoticesAChangedRun) {
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 1);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 2);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

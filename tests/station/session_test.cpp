@@ -29,7 +29,7 @@ Estimator finds(const ParameterVector& theta, double force_rms_N = 5.0) {
     summary.termination = Termination::Converged;
     summary.parameters.theta = theta;
     summary.covariance_normalised = 1e-4 * ParameterMatrix::Identity();
-    summary.covariance_normalised_over_runs = ParameterMatrix::Constant(kNaN);
+    summary.covariance_over_runs = ParameterMatrix::Constant(kNaN);
     summary.force_rms_N = force_rms_N;
     summary.velocity_rms_rad_s = 0.1;
     summary.run_force_rms_N.assign(runs.size(), force_rms_N);
@@ -178,30 +178,6 @@ INSTANTIATE_TEST_SUITE_P(Modes, Session, ::testing::Values(WorkerMode::Backgroun
                          [](const auto& mode) {
                            return mode.param == WorkerMode::Background ? "background" : "synchronous";
                          });
-
-TEST(ReportedSd, IsTheLargestOfWhatIsKnown) {
-  Estimate joint;
-  joint.covariance_normalised = 1e-4 * ParameterMatrix::Identity();
-  joint.covariance_normalised_over_runs = ParameterMatrix::Constant(kNaN);
-  EXPECT_NEAR(reported_sd_normalised(joint, {})[k2], 0.01, 1e-12);
-
-  std::vector<RunRecord> runs(4);
-  const ParameterVector nominal = nominal_parameters();
-  for (std::size_t i = 0; i < runs.size(); ++i) {
-    runs[i].converged = true;
-    runs[i].estimate.assign(nominal.begin(), nominal.end());
-    runs[i].estimate[k2] *= 1.0 + 0.1 * static_cast<double>(i);  // 1.0 to 1.3: sd 0.129, of the mean 0.0645
-  }
-  const ParameterVector scattered = reported_sd_normalised(joint, runs);
-  EXPECT_NEAR(scattered[k2], std::sqrt(0.05 / 12.0), 1e-12);
-  EXPECT_NEAR(scattered[k1], 0.01, 1e-12);
-
-  joint.covariance_normalised_over_runs = 9e-4 * ParameterMatrix::Identity();
-  joint.covariance_normalised_over_runs(TC, TC) = 1e-6;
-  const ParameterVector sandwich = reported_sd_normalised(joint, runs);
-  EXPECT_NEAR(sandwich[k2], 0.03, 1e-12);
-  EXPECT_NEAR(sandwich[TC], 0.01, 1e-12);
-}
 
 TEST(CheckRequest, IsCheckedBeforeAnythingMoves) {
   EXPECT_TRUE(validate({.serial = "S-1", .repeats = 200}));

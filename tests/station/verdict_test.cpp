@@ -139,19 +139,27 @@ TEST_P(JudgeInvalid, IsNeverAPassNorAFail) {
 INSTANTIATE_TEST_SUITE_P(
     Causes, JudgeInvalid,
     ::testing::Values(
-        Invalid{"operator", [](CheckFacts& f) { f.fault = FaultCause::OperatorStop; }, Verdict::Aborted,
-                "operator"},
-        Invalid{"emergency", [](CheckFacts& f) { f.fault = FaultCause::EmergencyStop; }, Verdict::Aborted,
-                "emergency"},
+        Invalid{"operator",
+                [](CheckFacts& f) {
+                  f.fault = FaultCause::OperatorStop;
+                  f.fault_verdict = Verdict::Aborted;
+                },
+                Verdict::Aborted, "operator"},
         Invalid{"operator_late",
                 [](CheckFacts& f) {
                   f.fault = FaultCause::OperatorStop;
+                  f.fault_verdict = Verdict::Aborted;
                   f.deadline_passed = true;
                 },
                 Verdict::Aborted, "operator"},
         Invalid{"deadline", [](CheckFacts& f) { f.deadline_passed = true; }, Verdict::Timeout, "deadline"},
-        Invalid{"phase", [](CheckFacts& f) { f.fault = FaultCause::SequenceTimeout; }, Verdict::Timeout,
-                "in time"},
+        Invalid{"phase",
+                [](CheckFacts& f) {
+                  f.fault = FaultCause::SequenceTimeout;
+                  f.fault_verdict = Verdict::Timeout;
+                  f.fault_text = "A step of the check did not end in time.";
+                },
+                Verdict::Timeout, "in time"},
         Invalid{"bus_off",
                 [](CheckFacts& f) {
                   f.fault = FaultCause::BusOff;

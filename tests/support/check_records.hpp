@@ -43,6 +43,8 @@ inline CheckRecord make_check_record(const std::string& id = "20261120T234107123
       {"ws", "rad/s", 28.9, 0.74, 7.225, 57.8, ParameterVerdict::Pass},
   };
   for (int i = 0; i < 49; ++i) r.covariance_normalised.push_back(1e-6 * i);
+  r.method = "pem";
+  r.noise_torque_Nm = 0.0051;
   r.noise_force_N = 75.2;
   r.noise_velocity_rad_s = 1.49;
   r.tracking_rms_N = 212.4;

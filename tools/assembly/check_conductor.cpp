@@ -4,7 +4,7 @@
 
 #include "clampd/base/clock.hpp"
 #include "clampd/base/version.hpp"
-#include "clampd/identify/output_error.hpp"
+#include "clampd/identify/method.hpp"
 #include "rt/policy.hpp"
 
 namespace clampd::assembly {
@@ -62,7 +62,7 @@ Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
   context.software_version = std::string(kVersion);
   context.started_utc_ns = now.utc_ns;
   session_ = std::make_unique<CheckSession>(station_.configuration, station_.limits, request, context,
-                                            identify_output_error, mode_);
+                                            estimator_of(station_.configuration.check.method), mode_);
   serial_ = request.serial;
   started_steady_ns_ = now.steady_ns;
   deadline_passed_ = false;
@@ -101,7 +101,9 @@ CheckRecord CheckConductor::finish(Instant now) {
   outcome.stopped_utc_ns = now.utc_ns;
   if (status.state.load() == StationState::Fault) {
     outcome.fault = status.fault.load();
-    outcome.fault_text = std::string(rt::fault_rule(outcome.fault).advice);
+    const rt::FaultRule& rule = rt::fault_rule(outcome.fault);
+    outcome.fault_verdict = rule.verdict;
+    outcome.fault_text = std::string(rule.advice);
     // Silence is noticed before the kernel says why: whoever reads the record wants to know.
     if (const LinkState link = core_.health().link; link != LinkState::Up)
       outcome.fault_text +=

@@ -25,18 +25,9 @@ nlohmann::ordered_json number_or_null(double value) {
   return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json(nullptr);
 }
 
-/// Repeats show what the torque reading's noise does to the estimates, which the Cramér-Rao figure cannot
-/// know: where there are enough of them, the larger of both is reported.
-ParameterMatrix reported_covariance(const Estimate& summary) {
-  if (!summary.covariance_normalised_over_runs.allFinite()) return summary.covariance_normalised;
-  return summary.covariance_normalised_over_runs.trace() > summary.covariance_normalised.trace()
-             ? summary.covariance_normalised_over_runs
-             : summary.covariance_normalised;
-}
-
 nlohmann::ordered_json identify_json(const Estimate& summary, std::size_t runs) {
   const ParameterVector nominal = nominal_parameters();
-  const ParameterMatrix covariance = reported_covariance(summary);
+  const ParameterMatrix& covariance = summary.covariance_normalised;
   nlohmann::ordered_json document{{"schema", "clampd.identify/1"},
                                   {"method", "oem"},
                                   {"runs", runs},
@@ -71,7 +62,7 @@ nlohmann::ordered_json identify_json(const Estimate& summary, std::size_t runs) 
 
 void print_table(const Estimate& summary, std::size_t runs) {
   const ParameterVector nominal = nominal_parameters();
-  const ParameterMatrix covariance = reported_covariance(summary);
+  const ParameterMatrix& covariance = summary.covariance_normalised;
   fmt::print("Output error method on {} run{}: {} ({} iterations, {:.1f} ms)\n\n", runs, runs == 1 ? "" : "s",
              summary.message, summary.iterations, 1e3 * summary.wall_s);
   fmt::print("  {:<5} {:>12} {:>11}  {:<11} {:>11} {:>9}\n", "", "estimate", "± sd", "unit", "normalised",

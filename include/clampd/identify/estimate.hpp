@@ -49,12 +49,14 @@ struct Estimate {
   int iterations = 0;
   double wall_s = 0.0;
   BrakeParameters parameters;
-  /// Of theta / theta_nom; counts the noise of the readings and that of the torque.
+  /// THE uncertainty, of theta / theta_nom: by the noise of the readings and of the torque; or, where the runs
+  /// differ from each other by significantly more than that, by their scatter (covariance_over_runs).
   ParameterMatrix covariance_normalised;
+  bool runs_differ = false;  ///< the latter: something changes from run to run
   /// The same if the torque reading were exact: the inverse of (14).
   ParameterMatrix covariance_exact_torque;
   /// Cluster-robust (sandwich) covariance over runs, which presumes no noise model; NaN for fewer than 8 runs.
-  ParameterMatrix covariance_normalised_over_runs;
+  ParameterMatrix covariance_over_runs;
   /// What a wrong tare does to the estimate; repeats that share a tare cannot show it by their scatter.
   OffsetSensitivity offset_sensitivity = OffsetSensitivity::Zero();
   std::vector<Eigen::Vector2d> initial_states;  ///< per run: position from contact (rad), velocity (rad/s)

@@ -83,8 +83,10 @@ struct CheckRecord {
 
   std::vector<ParameterRecord> parameters;
   std::vector<double> covariance_normalised;  ///< 7 x 7, row-major; empty where there is no fit
+  std::string method;                         ///< of identification: oem or pem
   double noise_force_N = 0.0;
   double noise_velocity_rad_s = 0.0;
+  double noise_torque_Nm = 0.0;
   double tracking_rms_N = 0.0;  ///< over all repeats
   TimingRecord timing;
   std::vector<RunRecord> runs;

@@ -9,6 +9,7 @@
 
 #include "clampd/base/result.hpp"
 #include "clampd/brake/parameters.hpp"
+#include "clampd/identify/method.hpp"
 
 namespace clampd {
 
@@ -71,6 +72,7 @@ struct CheckSettings {
   double settle_s = 0.05;
   double phase_timeout_s = 5.0;
   double torque_limit_Nm = 3.0;
+  Method method = Method::OutputError;
   double deadline_s = 60.0;  ///< for the whole check; then TIMEOUT
 };
 

@@ -39,6 +39,7 @@ struct CheckContext {
 /// What the station knows when the check has ended.
 struct CheckOutcome {
   FaultCause fault = FaultCause::None;
+  Verdict fault_verdict = Verdict::Error;  ///< by the supervisor's table
   std::string fault_text;  ///< the supervisor's sentence; may be empty
   bool deadline_passed = false;
   TimingRecord timing;  ///< ticks, skips and lateness of this check; lost_samples: dropped by the ring
@@ -82,11 +83,6 @@ class CheckSession {
   std::atomic<std::uint64_t> samples_{0};
   std::atomic<std::uint32_t> recorded_{0};
 };
-
-/// Standard deviation of an estimate (normalised), honest under noise of the torque reading: for each
-/// parameter the largest of the Cramér-Rao figure (which takes the torque as exact), the sandwich over the
-/// runs (from 8 runs on) and, for 3 to 7 runs, the standard error of the runs' own estimates.
-ParameterVector reported_sd_normalised(const Estimate& joint, const std::vector<RunRecord>& runs);
 
 /// What the tare's own uncertainty adds to it (normalised, in quadrature): all repeats share one tare, so
 /// that their scatter does not show it.

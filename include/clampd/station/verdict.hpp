@@ -14,6 +14,7 @@ namespace clampd {
 /// What a check found out, as far as its verdict depends on it.
 struct CheckFacts {
   FaultCause fault = FaultCause::None;
+  Verdict fault_verdict = Verdict::Error;  ///< what that fault ends a check with
   std::string fault_text;  ///< a sentence for the technician; empty: a plain one is made from the cause
   bool deadline_passed = false;
   std::string problem;  ///< why the recorded runs cannot be used; empty if they can
@@ -42,8 +43,8 @@ struct Judgement {
 ParameterVerdict judge_parameter(double value, double sd, const LimitInterval& limits, double guard_band_k);
 
 /// The verdict. In this order:
-/// operator or emergency stop: ABORTED; the deadline or a phase's time-out: TIMEOUT; any other fault, lost
-/// samples, skipped ticks above the limit, missing repeats, no estimate, a fit that does not explain the
+/// a fault: its own verdict (ABORTED for a stop, TIMEOUT for a phase, ERROR for the rest); the deadline: TIMEOUT;
+/// lost samples, skipped ticks above the limit, missing repeats, no estimate, a fit that does not explain the
 /// runs: ERROR; a parameter that fails: FAIL; a marginal one: decided by its value alone, with `marginal`
 /// set, unless its guard bands overlap, since then no value could pass: ERROR; a brake that passes but was
 /// not driven along the trajectory: ERROR. A brake that fails may have been tracked badly for that very

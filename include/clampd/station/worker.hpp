@@ -10,14 +10,19 @@
 #include <thread>
 #include <vector>
 
-#include "clampd/identify/output_error.hpp"
+#include "clampd/identify/method.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/station/run_collector.hpp"
 
 namespace clampd {
 
-/// How runs become parameters: identify_output_error, or another in tests.
+/// How runs become parameters: identify() with a method, or another in tests.
 using Estimator = std::function<Estimate(std::span<const Run>, const EstimatorOptions&)>;
+inline Estimator estimator_of(Method method) {
+  return [method](std::span<const Run> runs, const EstimatorOptions& options) {
+    return identify(method, runs, options);
+  };
+}
 
 enum class WorkerMode {
   Background,   ///< a thread of its own, so that estimation runs beside the next repeats
