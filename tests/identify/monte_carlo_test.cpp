@@ -113,7 +113,7 @@ TEST(OutputErrorMonteCarlo, CovarianceOverRunsIsHonestUnderTorqueNoise) {
     const auto summary = identify_output_error(runs, {});
     converged += summary.converged();
     const ParameterVector error = normalised_error(summary, truth);
-    robust += error.dot(summary.covariance_normalised_over_runs.ldlt().solve(error)) / kChecks;
+    robust += error.dot(summary.covariance_over_runs.ldlt().solve(error)) / kChecks;
     naive += error.dot(summary.covariance_normalised.ldlt().solve(error)) / kChecks;
   }
   // Seven parameters from a covariance estimated on twenty runs: Hotelling's T^2 with mean 7 * 19 / 11 and,

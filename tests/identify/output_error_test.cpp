@@ -75,8 +75,8 @@ TEST(OutputError, FitsRepeatsJointlyAndReportsThem) {
   EXPECT_NEAR(joint.noise_velocity_rad_s, 1.5, 0.05);
   EXPECT_EQ(joint.initial_states.size(), 20u);
   EXPECT_EQ(joint.run_force_rms_N.size(), 20u);
-  EXPECT_TRUE(joint.covariance_normalised_over_runs.allFinite());
-  EXPECT_TRUE(single.covariance_normalised_over_runs.array().isNaN().all());
+  EXPECT_TRUE(joint.covariance_over_runs.allFinite());
+  EXPECT_TRUE(single.covariance_over_runs.array().isNaN().all());
   const ParameterVector error =
       joint.parameters.theta.cwiseQuotient(nominal_parameters()) - ParameterVector::Ones();
   for (int i = 0; i < 7; ++i)
