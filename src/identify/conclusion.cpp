@@ -68,8 +68,8 @@ bool runs_differ(const Uncertainty& uncertainty, const Held& held, std::size_t r
   const double free = static_cast<double>(std::count(held.begin(), held.end(), false));
   const double degrees = static_cast<double>(runs - 1);
   const double statistic = degrees * expected.ldlt().solve(uncertainty.covariance_over_runs).trace();
-  return statistic > boost::math::quantile(boost::math::complement(
-                         boost::math::chi_squared(degrees * free), kRunsDiffer));
+  return statistic > boost::math::quantile(
+                         boost::math::complement(boost::math::chi_squared(degrees * free), kRunsDiffer));
 }
 
 std::optional<Parameter> parameter_at_bound(const ParameterVector& theta) {
@@ -128,8 +128,8 @@ Estimate empty_estimate(const EstimatorOptions& options) {
   Estimate estimate;
   estimate.parameters.fixed = options.start.fixed;
   estimate.parameters.theta.setConstant(kNaN);
-  for (ParameterMatrix* matrix : {&estimate.covariance_normalised, &estimate.covariance_exact_torque,
-                                  &estimate.covariance_over_runs})
+  for (ParameterMatrix* matrix :
+       {&estimate.covariance_normalised, &estimate.covariance_exact_torque, &estimate.covariance_over_runs})
     matrix->setConstant(kNaN);
   estimate.offset_sensitivity.setConstant(kNaN);
   for (double* value : {&estimate.noise_force_N, &estimate.noise_velocity_rad_s, &estimate.noise_torque_Nm,

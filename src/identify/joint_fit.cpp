@@ -35,7 +35,9 @@ constexpr int kLeapIterations = 6;
 constexpr double kHuberBend = 2.5;
 constexpr double kHuberSquare = 0.9876;
 
-bool is_logarithmic(int parameter) { return parameter != static_cast<int>(k1); }
+bool is_logarithmic(int parameter) {
+  return parameter != static_cast<int>(k1);
+}
 
 /// Upper triangular U with U^T U = matrix, rows of vanishing pivots zero: a column that the run says nothing
 /// about.
@@ -172,7 +174,8 @@ double JointFit::update_weights() {
     for (std::size_t k = 0; k < runs_[r].size(); ++k) {
       const LinearRow& row = now_.linear[r].rows[k];
       // Weighed with the covariance that the innovation has if its readings count fully.
-      const Eigen::Matrix2d state = row.by_state * now_.linear[r].gains[k].covariance * row.by_state.transpose();
+      const Eigen::Matrix2d state =
+          row.by_state * now_.linear[r].gains[k].covariance * row.by_state.transpose();
       const double deviation[2] = {std::sqrt(variances_.force + state(0, 0)),
                                    std::sqrt(variances_.velocity + state(1, 1))};
       double* const weight[2] = {&weights.force[k], &weights.velocity[k]};
@@ -186,7 +189,9 @@ double JointFit::update_weights() {
   return change;
 }
 
-bool JointFit::evaluate(const Eigen::VectorXd& unknowns) const { return evaluate(unknowns.data()); }
+bool JointFit::evaluate(const Eigen::VectorXd& unknowns) const {
+  return evaluate(unknowns.data());
+}
 
 bool JointFit::evaluate(const double* unknowns) const {
   const Eigen::Map<const Eigen::VectorXd> point(unknowns, NumParameters());
@@ -213,8 +218,7 @@ bool JointFit::operator()(const double* unknowns, double* residuals, double* jac
   Eigen::Map<Eigen::VectorXd> residual_rows(residuals, NumResiduals());
   if (!evaluate(unknowns)) {
     residual_rows.setConstant(std::sqrt(kImpossible / NumResiduals()));
-    if (jacobian != nullptr)
-      Eigen::Map<Eigen::MatrixXd>(jacobian, NumResiduals(), NumParameters()).setZero();
+    if (jacobian != nullptr) Eigen::Map<Eigen::MatrixXd>(jacobian, NumResiduals(), NumParameters()).setZero();
     return true;
   }
   if (jacobian == nullptr) {
@@ -264,8 +268,9 @@ void JointFit::gauss_newton_step(Eigen::VectorXd& step) const {
     step[next++] = is_logarithmic(i) ? std::clamp(theta[i] / now_.normalised[i], -0.5, 0.5) : theta[i];
   }
   for (const Normal& normal : now_.normals) {
-    step.segment<2>(next) = -elimination(normal).transpose() * theta -
-                            normal.block<2, 2>(kTheta, kTheta).inverse() * normal.block<2, 1>(kTheta, kDataColumn);
+    step.segment<2>(next) =
+        -elimination(normal).transpose() * theta -
+        normal.block<2, 2>(kTheta, kTheta).inverse() * normal.block<2, 1>(kTheta, kDataColumn);
     next += 2;
   }
 }
@@ -320,7 +325,8 @@ bool JointFit::white() const {
 
 std::vector<Eigen::Vector2d> JointFit::prior_distances() const {
   std::vector<Eigen::Vector2d> distances;
-  for (std::size_t r = 0; r < runs_.size(); ++r) distances.push_back(initial_of(now_.unknowns, r) - guesses_[r]);
+  for (std::size_t r = 0; r < runs_.size(); ++r)
+    distances.push_back(initial_of(now_.unknowns, r) - guesses_[r]);
   return distances;
 }
 

@@ -56,8 +56,8 @@ class JointFit {
   void use_output_errors(const Variances& variances);
   /// After something else used the runs' gains; the last evaluation stays valid.
   void restore_output_errors();
-  /// Innovations from here on, with the gains of extended Kalman filters at these unknowns. False, and nothing
-  /// changed for good, if a filter diverges there.
+  /// Innovations from here on, with the gains of extended Kalman filters at these unknowns. False, and
+  /// nothing changed for good, if a filter diverges there.
   bool use_innovations(const Eigen::VectorXd& unknowns, const Variances& variances);
   const Variances& variances() const { return variances_; }
 
@@ -76,7 +76,8 @@ class JointFit {
   void gauss_newton_step(Eigen::VectorXd& step) const;
   JointNormal joint_normal() const { return eliminate_initial_states(now_.normals, options_.held); }
   const Normal& normal(std::size_t run) const { return now_.normals[run]; }
-  /// Mean squared residuals (force N^2, velocity rad^2/s^2), weighted if the loss is robust: (9), its diagonal.
+  /// Mean squared residuals (force N^2, velocity rad^2/s^2), weighted if the loss is robust: (9), its
+  /// diagonal.
   Eigen::Vector2d mean_squares() const;
   Eigen::Vector2d mean_squares(std::size_t run) const;
   bool white() const;

@@ -24,8 +24,8 @@ JointNormal eliminate_initial_states(std::span<const Normal> normals, const Held
   for (const Normal& normal : normals) {
     const Eigen::Matrix<double, kTheta, 2> coefficients = elimination(normal);
     const Eigen::Vector2d initial = normal.block<2, 1>(kTheta, kDataColumn);
-    joint.information += normal.topLeftCorner<kTheta, kTheta>() -
-                         coefficients * normal.block<2, kTheta>(kTheta, 0);
+    joint.information +=
+        normal.topLeftCorner<kTheta, kTheta>() - coefficients * normal.block<2, kTheta>(kTheta, 0);
     joint.gradient += normal.block<kTheta, 1>(0, kDataColumn) - coefficients * initial;
     const Eigen::Matrix2d block = normal.block<2, 2>(kTheta, kTheta);
     joint.squares += normal(kDataColumn, kDataColumn) - initial.dot(block.inverse() * initial);

@@ -128,9 +128,7 @@ bool linearise_with_gains(const Run& run, const BrakeParameters& parameters, con
                           LinearRun& out) noexcept {
   return walk(
       run, parameters, initial, out,
-      [&](std::size_t k, const LinearRow& row) {
-        return Eigen::Vector2d(out.gains[k].gain * row.residual);
-      },
+      [&](std::size_t k, const LinearRow& row) { return Eigen::Vector2d(out.gains[k].gain * row.residual); },
       kNothing);
 }
 
@@ -172,7 +170,8 @@ void ignore_torque_noise(const Variances& variances, const ReadingWeights& weigh
 }
 
 Normal normal_equations(LinearRun& run) noexcept {
-  // Derivatives of the state's distance from the reference by the unknowns; last column: that distance itself.
+  // Derivatives of the state's distance from the reference by the unknowns; last column: that distance
+  // itself.
   Columns distance = Columns::Zero();
   distance(0, kInitialPositionColumn) = distance(1, kInitialVelocityColumn) = 1.0;
   for (std::size_t k = 0; k < run.rows.size(); ++k) {
@@ -212,8 +211,7 @@ ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<do
     moments.torque_trace += (row.torque_covariance.array() * later_square.array()).sum();
 
     const Columns through = row.transition.transpose().lazyProduct(later);
-    const Eigen::Matrix2d square =
-        row.transition.transpose() * later_square * row.transition;
+    const Eigen::Matrix2d square = row.transition.transpose() * later_square * row.transition;
     const Columns of_reading =
         run.weighted_innovations.middleCols<2>(2 * static_cast<Eigen::Index>(k)).transpose() -
         gain.gain.transpose().lazyProduct(through);
@@ -231,8 +229,8 @@ ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<do
 
     later = through + row.by_state.transpose().lazyProduct(of_reading);
     const Eigen::Matrix2d remaining = Eigen::Matrix2d::Identity() - gain.gain * row.by_state;
-    later_square = row.by_state.transpose() * gain.weight * row.by_state +
-                   remaining.transpose() * square * remaining;
+    later_square =
+        row.by_state.transpose() * gain.weight * row.by_state + remaining.transpose() * square * remaining;
   }
   moments.force = force * force.transpose();
   moments.velocity = velocity * velocity.transpose();

@@ -54,9 +54,9 @@ using Columns = Eigen::Matrix<double, 2, kUnknowns + 1>;
 using ColumnList = Eigen::Matrix<double, kUnknowns + 1, Eigen::Dynamic>;
 
 struct RowGain {
-  Eigen::Matrix2d gain;         ///< K of (16)
-  Eigen::Matrix2d weight;       ///< inverse of S of (17)
-  Eigen::Matrix2d covariance;   ///< P(k|k-1)
+  Eigen::Matrix2d gain;        ///< K of (16)
+  Eigen::Matrix2d weight;      ///< inverse of S of (17)
+  Eigen::Matrix2d covariance;  ///< P(k|k-1)
 };
 
 /// The disturbance smoother's result for a row, in units of the inverse noise: reading noise over its
@@ -77,8 +77,8 @@ struct LinearRun {
   ColumnList innovations;
   ColumnList weighted_innovations;
   ColumnList scores;  ///< by score_moments(): of all forces, all velocities, all torques (two each)
-  std::vector<Disturbance> disturbances;   ///< by score_moments()
-  double log_determinant = 0.0;            ///< sum of log det S
+  std::vector<Disturbance> disturbances;  ///< by score_moments()
+  double log_determinant = 0.0;           ///< sum of log det S
 };
 
 /// Linearises about the run's open-loop simulation. False where that leaves all bounds.
@@ -104,8 +104,8 @@ void ignore_torque_noise(const Variances& variances, const ReadingWeights& weigh
 /// The innovations' normal equations under the run's gains; keeps [J e] row by row.
 Normal normal_equations(LinearRun& run) noexcept;
 
-/// What the noise does to [J e]^T W e, by a pass backwards (the disturbance smoother's): moments are sums over
-/// all rows of the squared derivative of that product by a reading of weight one, or by the torque.
+/// What the noise does to [J e]^T W e, by a pass backwards (the disturbance smoother's): moments are sums
+/// over all rows of the squared derivative of that product by a reading of weight one, or by the torque.
 struct ScoreMoments {
   Normal force = Normal::Zero();
   Normal velocity = Normal::Zero();

@@ -22,8 +22,6 @@ constexpr int kMostHalvings = 6;
 /// uncertainty would then be many times too small. Where they tell it, this does not show.
 constexpr double kAwayFromZero = 0.1;
 
-
-
 /// Of each variance. Torque noise of 0.01 mN m moves nothing.
 double smallest(int i) {
   constexpr double kDeviations[3] = {kSmallestNoise.force_N, kSmallestNoise.velocity_rad_s, 1e-5};
@@ -34,7 +32,9 @@ Eigen::Vector3d vector_of(const Variances& variances) {
   return {variances.force, variances.velocity, variances.torque};
 }
 
-Variances variances_from(const Eigen::Vector3d& values) { return {values[0], values[1], values[2]}; }
+Variances variances_from(const Eigen::Vector3d& values) {
+  return {values[0], values[1], values[2]};
+}
 
 /// The joint normal equations solved: what is left of a run's unknowns when the data are given.
 struct Posterior {
@@ -141,8 +141,7 @@ namespace {
 class RestrictedLikelihood {
  public:
   RestrictedLikelihood(std::span<LinearRun> runs, std::span<const ReadingWeights> weights,
-                       std::span<const Eigen::Vector2d> prior_distances, const Held& held,
-                       bool torque_known)
+                       std::span<const Eigen::Vector2d> prior_distances, const Held& held, bool torque_known)
       : runs_(runs),
         weights_(weights),
         prior_distances_(prior_distances),
@@ -152,8 +151,8 @@ class RestrictedLikelihood {
 
   double operator()(const Eigen::Vector3d& variances) {
     variances_ = variances;
-    const double likelihood = restricted_likelihood(runs_, weights_, prior_distances_, held_,
-                                                    variances_from(variances), normals_);
+    const double likelihood =
+        restricted_likelihood(runs_, weights_, prior_distances_, held_, variances_from(variances), normals_);
     return away_from_zero_ > 0.0 ? likelihood - away_from_zero_ * std::log(variances[2]) : likelihood;
   }
 
@@ -178,8 +177,8 @@ class RestrictedLikelihood {
   std::vector<Normal> normals_;
 };
 
-/// Scoring from `values`, which end at the minimum; gives back the criterion there, where the runs' gains then
-/// are.
+/// Scoring from `values`, which end at the minimum; gives back the criterion there, where the runs' gains
+/// then are.
 double minimise(RestrictedLikelihood& likelihood, const std::array<bool, 3>& fixed, int max_iterations,
                 Eigen::Vector3d& values) {
   double criterion = likelihood(values);

@@ -28,8 +28,8 @@ struct NoiseFit {
 
 /// Restricted maximum likelihood for the variances of the noise, for runs linearised about some trajectory:
 /// parameters and initial states are integrated out, so that what they absorb is not taken for small noise
-/// (plain maximum likelihood lets the torque's noise collapse to zero). Fisher scoring from `start`. The runs'
-/// gains end as those of the result.
+/// (plain maximum likelihood lets the torque's noise collapse to zero). Fisher scoring from `start`. The
+/// runs' gains end as those of the result.
 NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeights> weights,
                         std::span<const Eigen::Vector2d> prior_distances, const Held& held,
                         const Variances& start, const KnownVariances& known, int max_iterations);

@@ -13,13 +13,17 @@ namespace {
 /// the weights costs far less than a hundredth of the estimate's efficiency.
 constexpr double kNoiseTolerance = 0.2;
 constexpr double kWeightTolerance = 0.02;
+constexpr int kUndampedRounds = 2;
+/// With weights that are far off, as of a model that does not fit, more would be spent on the wrong problem.
+constexpr int kRoundIterations = 15;
 
 /// More attempts from other starts follow if a fit's residuals exceed the noise seen without a model this
 /// often, or are not white.
 constexpr double kPoorFit = 1.25;
 
 /// A filter that believes in this much torque noise follows the readings also where the parameters are wrong:
-/// its cost is free of the minima that differ in when the simulated brake sticks, and leads near the right one.
+/// its cost is free of the minima that differ in when the simulated brake sticks, and leads near the right
+/// one.
 constexpr double kSmoothingTorque_Nm = 0.2;
 constexpr int kSmoothingRounds = 3;
 constexpr int kSmoothingIterations = 10;
@@ -41,28 +45,34 @@ OutputErrorSearch::OutputErrorSearch(std::span<const Run> runs, const EstimatorO
 Variances OutputErrorSearch::known_or(const Eigen::Vector2d& mean_squares) const {
   const double force = options_.noise_force_N.value_or(kSmallestNoise.force_N);
   const double velocity = options_.noise_velocity_rad_s.value_or(kSmallestNoise.velocity_rad_s);
-  return {options_.noise_force_N ? force * force : std::max(mean_squares[0], force * force),
-          options_.noise_velocity_rad_s ? velocity * velocity : std::max(mean_squares[1], velocity * velocity),
-          0.0};
+  return {
+      options_.noise_force_N ? force * force : std::max(mean_squares[0], force * force),
+      options_.noise_velocity_rad_s ? velocity * velocity : std::max(mean_squares[1], velocity * velocity),
+      0.0};
 }
 
 OutputErrorAttempt OutputErrorSearch::attempt(const ParameterVector& theta) {
   OutputErrorAttempt result;
   result.unknowns = fit_.start_from(theta);
   result.weights = known_or({seen_.force, seen_.velocity});
-  for (int used = 0; used < options_.max_iterations;) {
+  int used = 0;
+  for (int round = 0; used < options_.max_iterations; ++round) {
     fit_.use_output_errors(result.weights);
-    const Descent descent = minimise_(fit_, result.unknowns, options_.max_iterations - used);
+    const Descent descent =
+        minimise_(fit_, result.unknowns, std::min(kRoundIterations, options_.max_iterations - used));
     iterations_ += descent.iterations;
     if (!descent.possible) return result;
     used += std::max(1, descent.iterations);
     const Variances found = known_or(fit_.mean_squares());
     const double reweighted = fit_.update_weights();
-    const double change = std::max(std::abs(found.force / result.weights.force - 1.0),
-                                   std::abs(found.velocity / result.weights.velocity - 1.0));
+    const double share = 1.0 / std::max(1, round - kUndampedRounds);
+    const double change = share * std::max(std::abs(found.force / result.weights.force - 1.0),
+                                           std::abs(found.velocity / result.weights.velocity - 1.0));
     result.settled = descent.settled && change < kNoiseTolerance && reweighted < kWeightTolerance;
     if (result.settled) break;
-    result.weights = found;
+    // Where the model does not fit, weights and parameters can chase each other: then in ever smaller steps.
+    result.weights.force *= std::pow(found.force / result.weights.force, share);
+    result.weights.velocity *= std::pow(found.velocity / result.weights.velocity, share);
   }
   const Eigen::Vector2d squares = fit_.mean_squares();
   const Variances found = known_or(squares);
@@ -102,7 +112,8 @@ bool OutputErrorSearch::poor(OutputErrorAttempt& attempt) {
   const Eigen::Vector2d squares = fit.mean_squares();
   if (plausible({squares[0], squares[1], 0.0}) && fit.white()) return false;
   const NoiseFit& noise = noise_at(attempt);
-  return !(noise.white && plausible(noise.variances) && noise.variances.torque < kLargestTorque_Nm * kLargestTorque_Nm);
+  return !(noise.white && plausible(noise.variances) &&
+           noise.variances.torque < kLargestTorque_Nm * kLargestTorque_Nm);
 }
 
 ParameterVector OutputErrorSearch::filtered_start(const ParameterVector& theta) {

@@ -44,7 +44,8 @@ KnownVariances known_by(const EstimatorOptions& options) {
 
 class PredictionErrorSearch {
  public:
-  PredictionErrorSearch(JointFit& fit, const EstimatorOptions& options) : fit_(fit), options_(options), minimise_(fit, Minimiser::Kinks::Accept) {}
+  PredictionErrorSearch(JointFit& fit, const EstimatorOptions& options)
+      : fit_(fit), options_(options), minimise_(fit, Minimiser::Kinks::Accept) {}
 
   /// Alternates between the parameters under fixed gains and the noise under fixed parameters: to first order
   /// neither knows of the other, so few rounds suffice.
@@ -68,8 +69,9 @@ class PredictionErrorSearch {
       const auto towards = [&](double from, double to) { return from * std::pow(to / from, share); };
       result.variances = {towards(result.variances.force, found.variances.force),
                           towards(result.variances.velocity, found.variances.velocity),
-                          options_.noise_torque_Nm ? found.variances.torque
-                                                   : towards(result.variances.torque, found.variances.torque)};
+                          options_.noise_torque_Nm
+                              ? found.variances.torque
+                              : towards(result.variances.torque, found.variances.torque)};
     }
     return result;
   }
@@ -101,13 +103,12 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
   PredictionErrorSearch search(fit, options);
   const bool lost = output_errors.poor(warm);
   Attempt best;
-  if (std::isfinite(warm.score))
-    best = search.attempt(warm.unknowns, output_errors.noise_at(warm).variances);
+  if (std::isfinite(warm.score)) best = search.attempt(warm.unknowns, output_errors.noise_at(warm).variances);
   const auto good = [&](const Attempt& attempt) {
     return attempt.settled && attempt.white && output_errors.plausible(attempt.variances);
   };
-  // A filter can call almost any parameters good if only it believes in enough torque noise. Where output errors
-  // got lost, as in slow motion under load, likelihood must choose among several starts.
+  // A filter can call almost any parameters good if only it believes in enough torque noise. Where output
+  // errors got lost, as in slow motion under load, likelihood must choose among several starts.
   if (lost || !good(best)) {
     const Variances start = output_errors.variances_without_model();
     for (const ParameterVector& theta : output_errors.other_starts()) {
@@ -120,7 +121,8 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
   estimate.iterations = output_errors.iterations() + search.iterations();
   if (!std::isfinite(best.criterion) || !fit.use_innovations(best.unknowns, best.variances) ||
       !fit.evaluate(best.unknowns))
-    estimate.message = "the Kalman filter cannot follow the runs from any start: it diverges under their torque";
+    estimate.message =
+        "the Kalman filter cannot follow the runs from any start: it diverges under their torque";
   else
     conclude(fit, best.unknowns, best.variances, best.settled, options, estimate);
   estimate.wall_s = stopwatch.seconds();

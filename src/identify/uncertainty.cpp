@@ -34,9 +34,11 @@ Uncertainty uncertainty_of(JointFit& fit, const Variances& variances, const Held
     const Normal& normal = fit.normal(r);
     Eigen::Matrix<double, kTheta, kUnknowns> eliminate;
     eliminate << ParameterMatrix::Identity(), -elimination(normal);
-    const ScoreMoments moments = score_moments(fit.weights()[r], Eigen::Matrix<double, kUnknowns, 1>::Zero(), runs[r]);
-    const Eigen::Matrix<double, kUnknowns, kUnknowns> reading = (variances.force * moments.force + variances.velocity * moments.velocity)
-                             .topLeftCorner<kUnknowns, kUnknowns>();
+    const ScoreMoments moments =
+        score_moments(fit.weights()[r], Eigen::Matrix<double, kUnknowns, 1>::Zero(), runs[r]);
+    const Eigen::Matrix<double, kUnknowns, kUnknowns> reading =
+        (variances.force * moments.force + variances.velocity * moments.velocity)
+            .topLeftCorner<kUnknowns, kUnknowns>();
     readings += eliminate * reading * eliminate.transpose();
     torque += variances.torque * eliminate * moments.torque.topLeftCorner<kUnknowns, kUnknowns>() *
               eliminate.transpose();
