@@ -31,8 +31,15 @@ def evaluate(blocks, block_samples, sd_force, sd_velocity, force_limit, speed_li
             simulate(theta, 0.0, 0.0, torque, f, v)
             readings = np.concatenate((f / sd_force, v / sd_velocity))
             columns[:, i] = readings if direction > 0.0 else (columns[:, i] - readings) / (2.0 * DIFFERENCE)
-    sign, logdet = np.linalg.slogdet(columns.T @ columns)
-    out[0] = -logdet if sign > 0.0 and np.isfinite(logdet) else 1e3
+    information = columns.T @ columns
+    out[:] = -1e3  # where it diverges, or tells nothing
+    out[0] = 1e3
+    if not np.all(np.isfinite(information)):
+        return
+    sign, logdet = np.linalg.slogdet(information)
+    if sign <= 0.0:
+        return
+    out[0] = -logdet
     simulate(NOMINAL, 0.0, 0.0, torque, f, v)
     for b in range(blocks.size):
         rows = slice(b * block_samples, (b + 1) * block_samples)
@@ -58,7 +65,7 @@ class Problem:
     def compute(self, x):
         out = np.empty(self.size)
         evaluate(self.scale * x, *self.settings, out)
-        return np.nan_to_num(out, nan=-1e3, posinf=1e3, neginf=-1e3)
+        return out
 
     def values(self, x):
         if not np.array_equal(x, self.values_at):
@@ -81,7 +88,6 @@ def main():
     problem.slopes(np.zeros(task["blocks"]))  # compiled before the clock starts
     started = time.process_time()
     best = {"logdet": np.inf, "blocks_Nm": [0.0] * task["blocks"], "seconds": 0.0}
-    starts = within_one = 0
     reached = []
     while time.process_time() - started < task["budget_s"]:
         solution = minimize(
@@ -93,7 +99,6 @@ def main():
             method="SLSQP",
             options={"maxiter": 300, "ftol": 1e-4},
         )
-        starts += 1
         feasible = np.min(problem.values(solution.x)[1:]) > -1e-4
         reached.append(float(solution.fun) if feasible else np.inf)
         if feasible and solution.fun < best["logdet"]:
@@ -103,8 +108,8 @@ def main():
                 "seconds": time.process_time() - started,
             }
     best |= {
-        "starts": starts,
-        "within_one": sum(value < best["logdet"] + 1.0 for value in reached),
+        "starts": len(reached),
+        "successes": sum(value <= task["target_logdet"] for value in reached),
         "total_seconds": time.process_time() - started,
         "version": f"scipy {scipy.__version__}",
     }
