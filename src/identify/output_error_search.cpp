@@ -15,6 +15,7 @@ constexpr double kNoiseTolerance = 0.2;
 constexpr double kWeightTolerance = 0.02;
 constexpr int kUndampedRounds = 2;
 /// With weights that are far off, as of a model that does not fit, more would be spent on the wrong problem.
+constexpr int kFirstRoundIterations = 40;
 constexpr int kRoundIterations = 15;
 
 /// More attempts from other starts follow if a fit's residuals exceed the noise seen without a model this
@@ -30,9 +31,6 @@ constexpr int kSmoothingIterations = 10;
 
 /// More torque noise than any drive has: a wrong minimum taken for noise.
 constexpr double kLargestTorque_Nm = 0.1;
-
-/// Two fits whose negative log-likelihoods per row differ by less are in the same minimum.
-constexpr double kSameMinimum = 1e-5;
 
 }  // namespace
 
@@ -58,8 +56,9 @@ OutputErrorAttempt OutputErrorSearch::attempt(const ParameterVector& theta) {
   int used = 0;
   for (int round = 0; used < options_.max_iterations; ++round) {
     fit_.use_output_errors(result.weights);
-    const Descent descent =
-        minimise_(fit_, result.unknowns, std::min(kRoundIterations, options_.max_iterations - used));
+    const Descent descent = minimise_(
+        fit_, result.unknowns,
+        std::min(round == 0 ? kFirstRoundIterations : kRoundIterations, options_.max_iterations - used));
     iterations_ += descent.iterations;
     if (!descent.possible) return result;
     used += std::max(1, descent.iterations);
@@ -143,13 +142,10 @@ std::vector<ParameterVector> OutputErrorSearch::other_starts() {
 OutputErrorAttempt OutputErrorSearch::best() {
   OutputErrorAttempt kept = first();
   if (!poor(kept)) return kept;
-  int alike = 0;
   for (const ParameterVector& start : other_starts()) {
     OutputErrorAttempt other = attempt(start);
-    // Should nothing explain the residuals, unlike starts that end alike must do.
-    alike += std::abs(other.score - kept.score) < kSameMinimum;
     if (other.score < kept.score) kept = std::move(other);
-    if (alike >= 2 || !poor(kept)) return kept;
+    if (!poor(kept)) return kept;
   }
   return kept;
 }

@@ -20,11 +20,11 @@ enum class Loss {
 /// What both estimators want to know.
 struct EstimatorOptions {
   BrakeParameters start;     ///< theta: initial guess; fixed: J and N as known
-  int max_iterations = 100;  ///< from each start
+  int max_iterations = 200;  ///< from each start
   /// Parameters that stay at their start value.
   std::array<bool, kParameterCount> held{};
-  /// Standard deviations of the noise, if known; otherwise estimated with the parameters. Torque: the error of
-  /// its reading, white, one value held over each millisecond.
+  /// Standard deviations of the noise, if known; otherwise estimated with the parameters. Torque: the error
+  /// of its reading, white, one value held over each millisecond.
   std::optional<double> noise_force_N;
   std::optional<double> noise_velocity_rad_s;
   std::optional<double> noise_torque_Nm;
@@ -49,13 +49,14 @@ struct Estimate {
   int iterations = 0;
   double wall_s = 0.0;
   BrakeParameters parameters;
-  /// THE uncertainty, of theta / theta_nom: by the noise of the readings and of the torque; or, where the runs
-  /// differ from each other by significantly more than that, by their scatter (covariance_over_runs).
+  /// THE uncertainty, of theta / theta_nom: by the noise of the readings and of the torque; or, where the
+  /// runs differ from each other by significantly more than that, by their scatter (covariance_over_runs).
   ParameterMatrix covariance_normalised;
   bool runs_differ = false;  ///< the latter: something changes from run to run
   /// The same if the torque reading were exact: the inverse of (14).
   ParameterMatrix covariance_exact_torque;
-  /// Cluster-robust (sandwich) covariance over runs, which presumes no noise model; NaN for fewer than 8 runs.
+  /// Cluster-robust (sandwich) covariance over runs, which presumes no noise model; NaN for fewer than 8
+  /// runs.
   ParameterMatrix covariance_over_runs;
   /// What a wrong tare does to the estimate; repeats that share a tare cannot show it by their scatter.
   OffsetSensitivity offset_sensitivity = OffsetSensitivity::Zero();

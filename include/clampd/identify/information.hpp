@@ -41,8 +41,8 @@ JointInformation joint_information(const BrakeParameters& parameters, const Brak
 
 /// Fisher information of a run whose acting torque differs from the recorded one by white noise: the sum of
 /// the squared, S(k)-weighted innovation sensitivities of the Kalman filter along the nominal response.
-/// Without torque noise it is (14a). `excitation` is the recorded torque: for a brake under feedback, what the
-/// controller commanded. NaN if the simulation is not complete.
+/// Without torque noise it is (14a). `excitation` is the recorded torque: for a brake under feedback, what
+/// the controller commanded. NaN if the simulation is not complete.
 JointInformation joint_information(const BrakeParameters& parameters, const BrakeState& initial,
                                    const Excitation& excitation, const NoiseLevels& noise);
 
