@@ -110,6 +110,13 @@ class Reporter final : public benchmark::ConsoleReporter {
  public:
   using ConsoleReporter::ConsoleReporter;
 
+  /// Without the library's context, which warns of how Debian built it.
+  bool ReportContext(const Context& context) override {
+    name_field_width_ = context.name_field_width;
+    printed_header_ = false;
+    return true;
+  }
+
   void ReportRuns(const std::vector<Run>& reports) override {
     ConsoleReporter::ReportRuns(reports);
     for (const Run& run : reports)
