@@ -72,13 +72,34 @@ bool runs_differ(const Uncertainty& uncertainty, const Held& held, std::size_t r
                          boost::math::complement(boost::math::chi_squared(degrees * free), kRunsDiffer));
 }
 
-std::optional<Parameter> parameter_at_bound(const ParameterVector& theta) {
+/// A parameter that the data do not determine, the worst first: no information, its bound reached, or a
+/// standard deviation beyond sense.
+std::optional<Parameter> undetermined(const Uncertainty& uncertainty, const ParameterVector& theta,
+                                      const Held& held) {
+  if (const auto parameter = unidentifiable_parameter(uncertainty.information)) {
+    if (!held[*parameter]) return parameter;
+    // Numerically worthless altogether: the one with the least information of its own.
+    std::optional<Parameter> least;
+    for (std::size_t i = 0; i < kParameterCount; ++i) {
+      const auto k = static_cast<Eigen::Index>(i);
+      if (!held[i] && (!least || !(uncertainty.information(k, k) >=
+                                   uncertainty.information(static_cast<Eigen::Index>(*least),
+                                                           static_cast<Eigen::Index>(*least)))))
+        least = static_cast<Parameter>(i);
+    }
+    return least;
+  }
   for (std::size_t i = 0; i < kParameterCount; ++i) {
     const ParameterInfo& info = kParameterTable[i];
     const double value = theta[static_cast<Eigen::Index>(i)];
     const double margin = 1e-3 * std::abs(value);
-    if (value < info.lower + margin || value > info.upper - margin) return static_cast<Parameter>(i);
+    if (!held[i] && (value < info.lower + margin || value > info.upper - margin))
+      return static_cast<Parameter>(i);
   }
+  Eigen::Index vaguest = 0;
+  if (uncertainty.covariance_exact_torque.diagonal().maxCoeff(&vaguest) > kUndetermined * kUndetermined &&
+      !held[static_cast<std::size_t>(vaguest)])
+    return static_cast<Parameter>(vaguest);
   return std::nullopt;
 }
 
@@ -133,7 +154,7 @@ Estimate empty_estimate(const EstimatorOptions& options) {
     matrix->setConstant(kNaN);
   estimate.offset_sensitivity.setConstant(kNaN);
   for (double* value : {&estimate.noise_force_N, &estimate.noise_velocity_rad_s, &estimate.noise_torque_Nm,
-                        &estimate.force_rms_N, &estimate.velocity_rms_rad_s})
+                        &estimate.force_rms_N, &estimate.velocity_rms_rad_s, &estimate.log_likelihood})
     *value = kNaN;
   return estimate;
 }
@@ -150,6 +171,7 @@ void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& v
   estimate.noise_velocity_rad_s = std::sqrt(variances.velocity);
   estimate.noise_torque_Nm = std::sqrt(variances.torque);
   const Eigen::Vector2d rms = fit.mean_squares().cwiseSqrt();
+  estimate.log_likelihood = fit.log_likelihood();
   estimate.force_rms_N = rms[0];
   estimate.velocity_rms_rad_s = rms[1];
   for (std::size_t r = 0; r < fit.linear_runs().size(); ++r) {
@@ -163,25 +185,25 @@ void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& v
     estimate.message = std::move(message);
   };
 
-  const Uncertainty uncertainty = uncertainty_of(fit, variances, options.held);
-  if (const auto unknown = unidentifiable_parameter(uncertainty.information))
+  // What the data do not determine is set aside, one parameter after the other, until the rest stands.
+  Held held = options.held;
+  Uncertainty uncertainty = uncertainty_of(fit, variances, held);
+  std::string unknown;
+  while (const auto parameter = undetermined(uncertainty, estimate.parameters.theta, held)) {
+    unknown += fmt::format("{}{}", unknown.empty() ? "" : ", ", kParameterTable[*parameter].name);
+    held[*parameter] = true;
+    if (std::find(held.begin(), held.end(), false) == held.end()) break;
+    uncertainty = uncertainty_of(fit, variances, held);
+  }
+  if (!unknown.empty()) {
+    for (int i = 0; i < kTheta; ++i)
+      if (held[static_cast<std::size_t>(i)] && !options.held[static_cast<std::size_t>(i)])
+        estimate.parameters.theta[i] = kNaN;
     return end(
         Termination::NotIdentifiable,
-        fmt::format("the runs do not tell the parameters apart, {} least of all: excite the brake more",
-                    kParameterTable[*unknown].name));
-  if (const auto bound = parameter_at_bound(estimate.parameters.theta))
-    return end(
-        Termination::NotIdentifiable,
-        fmt::format("{} ran into its bound: the runs do not determine it, or the model does not fit them",
-                    kParameterTable[*bound].name));
-  Eigen::Index vaguest = 0;
-  const double variance = uncertainty.covariance_exact_torque.diagonal().maxCoeff(&vaguest);
-  if (variance > kUndetermined * kUndetermined)
-    return end(
-        Termination::NotIdentifiable,
-        fmt::format(
-            "the runs do not determine {}: its standard deviation would be {:.0f} times its nominal value",
-            kParameterTable[static_cast<std::size_t>(vaguest)].name, std::sqrt(variance)));
+        fmt::format("not identifiable from these data: {}; excite the brake more, or hold what is known",
+                    unknown));
+  }
   estimate.runs_differ = runs_differ(uncertainty, options.held, fit.linear_runs().size());
   estimate.covariance_normalised =
       estimate.runs_differ ? uncertainty.covariance_over_runs : uncertainty.covariance;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numbers>
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
@@ -254,13 +255,22 @@ double JointFit::squares() const {
   return sum;
 }
 
+double JointFit::log_likelihood() const {
+  double sum = squares();
+  for (const LinearRun& run : now_.linear) {
+    sum += 2.0 * std::log(2.0 * std::numbers::pi) * static_cast<double>(run.rows.size());
+    for (const RowGain& gain : run.gains) sum -= std::log(gain.weight.determinant());
+  }
+  return -0.5 * sum;
+}
+
 double JointFit::expected_decrease() const {
-  const JointNormal joint = joint_normal();
+  const JointNormal joint = joint_normal(options_.held);
   return squares() - joint.squares + joint.gradient.dot(joint.information.ldlt().solve(joint.gradient));
 }
 
 void JointFit::gauss_newton_step(Eigen::VectorXd& step) const {
-  const JointNormal joint = joint_normal();
+  const JointNormal joint = joint_normal(options_.held);
   const ParameterVector theta = -joint.information.ldlt().solve(joint.gradient);
   Eigen::Index next = 0;
   for (int i = 0; i < kTheta; ++i) {

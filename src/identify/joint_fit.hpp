@@ -70,11 +70,12 @@ class JointFit {
 
   /// Of the last evaluated point.
   double squares() const;
+  double log_likelihood() const;
   /// By how much a Gauss-Newton step would lower squares().
   double expected_decrease() const;
   /// That step, into NumParameters() rows.
   void gauss_newton_step(Eigen::VectorXd& step) const;
-  JointNormal joint_normal() const { return eliminate_initial_states(now_.normals, options_.held); }
+  JointNormal joint_normal(const Held& held) const { return eliminate_initial_states(now_.normals, held); }
   const Normal& normal(std::size_t run) const { return now_.normals[run]; }
   /// Mean squared residuals (force N^2, velocity rad^2/s^2), weighted if the loss is robust: (9), its
   /// diagonal.

@@ -22,7 +22,7 @@ void clear_held(const Held& held, ParameterMatrix& matrix) {
 Uncertainty uncertainty_of(JointFit& fit, const Variances& variances, const Held& held) {
   Uncertainty result;
   const std::span<LinearRun> runs = fit.linear_runs();
-  const JointNormal joint = fit.joint_normal();
+  const JointNormal joint = fit.joint_normal(held);
   result.information = joint.information;
   ParameterMatrix inverse = cramer_rao(joint.information);
   clear_held(held, inverse);

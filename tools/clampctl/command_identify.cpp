@@ -4,7 +4,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "clampd/identify/output_error.hpp"
+#include "clampd/identify/profile.hpp"
 #include "clampd/record/run.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
@@ -18,26 +18,71 @@ struct IdentifyOptions {
   std::vector<std::string> files;
   std::string method = "oem";
   std::string parameters;
+  std::vector<std::string> held;
+  std::vector<std::string> profiles;
+  bool robust = false;
   std::string json;
+  EstimatorOptions estimator;
 };
+
+/// Beyond this correlation two parameters are hard to tell apart.
+constexpr double kHardToTellApart = 0.95;
+
+struct Correlation {
+  std::size_t first, second;
+  double value;
+};
+
+std::vector<Correlation> strong_correlations(const ParameterMatrix& covariance) {
+  std::vector<Correlation> strong;
+  for (std::size_t i = 0; i < kParameterCount; ++i)
+    for (std::size_t j = i + 1; j < kParameterCount; ++j) {
+      const auto row = static_cast<Eigen::Index>(i);
+      const auto column = static_cast<Eigen::Index>(j);
+      const double value =
+          covariance(row, column) / std::sqrt(covariance(row, row) * covariance(column, column));
+      if (std::abs(value) > kHardToTellApart) strong.push_back({i, j, value});
+    }
+  return strong;
+}
 
 nlohmann::ordered_json number_or_null(double value) {
   return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json(nullptr);
 }
 
-nlohmann::ordered_json identify_json(const Estimate& summary, std::size_t runs) {
+nlohmann::ordered_json matrix_json(const ParameterMatrix& matrix) {
+  nlohmann::ordered_json rows = nlohmann::ordered_json::array();
+  for (const auto& matrix_row : matrix.rowwise()) {
+    nlohmann::ordered_json row = nlohmann::ordered_json::array();
+    for (const double value : matrix_row) row.push_back(number_or_null(value));
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+nlohmann::ordered_json profile_json(const Profile& profile) {
+  nlohmann::ordered_json points = nlohmann::ordered_json::array();
+  for (const ProfilePoint& point : profile.points)
+    points.push_back({{"value", point.value}, {"deviance", number_or_null(point.deviance)}});
+  return {{"name", kParameterTable[profile.parameter].name},
+          {"lower", number_or_null(profile.lower)},
+          {"upper", number_or_null(profile.upper)},
+          {"points", std::move(points)}};
+}
+
+nlohmann::ordered_json identify_json(const Estimate& summary, const IdentifyOptions& options,
+                                     const std::vector<Profile>& profiles) {
   const ParameterVector nominal = nominal_parameters();
   const ParameterMatrix& covariance = summary.covariance_normalised;
   nlohmann::ordered_json document{{"schema", "clampd.identify/1"},
-                                  {"method", "oem"},
-                                  {"runs", runs},
+                                  {"method", options.method},
+                                  {"runs", options.files.size()},
                                   {"converged", summary.converged()},
                                   {"termination", to_string(summary.termination)},
                                   {"message", summary.message},
                                   {"iterations", summary.iterations},
                                   {"wall_s", summary.wall_s}};
   auto& parameters = document["parameters"] = nlohmann::ordered_json::array();
-  auto& matrix = document["covariance_normalised"] = nlohmann::ordered_json::array();
   for (Eigen::Index i = 0; i < nominal.size(); ++i) {
     const auto& info = kParameterTable[static_cast<std::size_t>(i)];
     const double normalised = summary.parameters.theta[i] / nominal[i];
@@ -47,40 +92,107 @@ nlohmann::ordered_json identify_json(const Estimate& summary, std::size_t runs) 
                           {"value", number_or_null(summary.parameters.theta[i])},
                           {"sd", number_or_null(normalised_sd * std::abs(nominal[i]))},
                           {"normalised", number_or_null(normalised)},
-                          {"normalised_sd", number_or_null(normalised_sd)}});
-    nlohmann::ordered_json row = nlohmann::ordered_json::array();
-    for (Eigen::Index j = 0; j < nominal.size(); ++j) row.push_back(number_or_null(covariance(i, j)));
-    matrix.push_back(std::move(row));
+                          {"normalised_sd", number_or_null(normalised_sd)},
+                          {"held", options.estimator.held[static_cast<std::size_t>(i)]}});
   }
+  document["covariance_normalised"] = matrix_json(covariance);
+  document["covariance_exact_torque"] = matrix_json(summary.covariance_exact_torque);
+  document["runs_differ"] = summary.runs_differ;
   document["noise"] = {{"force_N", number_or_null(summary.noise_force_N)},
                        {"velocity_rad_s", number_or_null(summary.noise_velocity_rad_s)},
-                       {"torque_Nm", nullptr}};
+                       {"torque_Nm", number_or_null(summary.noise_torque_Nm)}};
   document["fit"] = {{"force_rms_N", number_or_null(summary.force_rms_N)},
-                     {"velocity_rms_rad_s", number_or_null(summary.velocity_rms_rad_s)}};
+                     {"velocity_rms_rad_s", number_or_null(summary.velocity_rms_rad_s)},
+                     {"log_likelihood", number_or_null(summary.log_likelihood)}};
+  if (!profiles.empty()) {
+    auto& list = document["profiles"] = nlohmann::ordered_json::array();
+    for (const Profile& profile : profiles) list.push_back(profile_json(profile));
+  }
   return document;
 }
 
-void print_table(const Estimate& summary, std::size_t runs) {
+void print_table(const Estimate& summary, const IdentifyOptions& options,
+                 const std::vector<Profile>& profiles) {
   const ParameterVector nominal = nominal_parameters();
   const ParameterMatrix& covariance = summary.covariance_normalised;
-  fmt::print("Output error method on {} run{}: {} ({} iterations, {:.1f} ms)\n\n", runs, runs == 1 ? "" : "s",
-             summary.message, summary.iterations, 1e3 * summary.wall_s);
-  fmt::print("  {:<5} {:>12} {:>11}  {:<11} {:>11} {:>9}\n", "", "estimate", "± sd", "unit", "normalised",
+  const std::size_t runs = options.files.size();
+  fmt::print("{} error method on {} run{}: {} ({} iterations, {:.1f} ms)\n",
+             options.method == "oem" ? "Output" : "Prediction", runs, runs == 1 ? "" : "s", summary.message,
+             summary.iterations, 1e3 * summary.wall_s);
+  if (!std::isfinite(summary.force_rms_N)) return;
+  fmt::print("\n  {:<5} {:>12} {:>11}  {:<11} {:>11} {:>9}\n", "", "estimate", "± sd", "unit", "normalised",
              "± sd");
   for (Eigen::Index i = 0; i < nominal.size(); ++i) {
     const auto& info = kParameterTable[static_cast<std::size_t>(i)];
+    const double value = summary.parameters.theta[i];
     const double sd = std::sqrt(covariance(i, i));
-    fmt::print("  {:<5} {:>12.5g} {:>11.2g}  {:<11} {:>11.4f} {:>9.4f}\n", info.name,
-               summary.parameters.theta[i], sd * std::abs(nominal[i]), info.unit,
-               summary.parameters.theta[i] / nominal[i], sd);
+    if (!std::isfinite(value))
+      fmt::print("  {:<5} not identifiable from these data\n", info.name);
+    else if (options.estimator.held[static_cast<std::size_t>(i)])
+      fmt::print("  {:<5} {:>12.5g} {:>11}  {:<11} {:>11.4f}\n", info.name, value, "held", info.unit,
+                 value / nominal[i]);
+    else if (!std::isfinite(sd))
+      fmt::print("  {:<5} {:>12.5g} {:>11}  {:<11} {:>11.4f}\n", info.name, value, "", info.unit,
+                 value / nominal[i]);
+    else
+      fmt::print("  {:<5} {:>12.5g} {:>11.2g}  {:<11} {:>11.4f} {:>9.4f}\n", info.name, value,
+                 sd * std::abs(nominal[i]), info.unit, value / nominal[i], sd);
   }
-  fmt::print("\n  residuals: force {:.1f} N rms, velocity {:.3f} rad/s rms\n", summary.force_rms_N,
+  fmt::print("\n  noise: force {:.3g} N, velocity {:.3g} rad/s, torque {:.2g} N m\n", summary.noise_force_N,
+             summary.noise_velocity_rad_s, summary.noise_torque_Nm);
+  fmt::print("  {}: force {:.1f} N rms, velocity {:.3f} rad/s rms\n",
+             options.method == "oem" ? "residuals" : "one-step prediction errors", summary.force_rms_N,
              summary.velocity_rms_rad_s);
+  if (summary.runs_differ)
+    fmt::print(
+        "  the runs differ from each other by more than this noise: the uncertainty is from their scatter\n");
+  for (const Correlation& correlation : strong_correlations(covariance))
+    fmt::print("  {} and {} are hard to tell apart here (correlation {:+.3f})\n",
+               kParameterTable[correlation.first].name, kParameterTable[correlation.second].name,
+               correlation.value);
+  for (const Profile& profile : profiles) {
+    const ParameterInfo& info = kParameterTable[profile.parameter];
+    const auto bound = [](double value) {
+      return std::isfinite(value) ? fmt::format("{:.5g}", value) : std::string("not bounded");
+    };
+    fmt::print("\n  {} by profile likelihood, 95 %: {} ... {} {}\n", info.name, bound(profile.lower),
+               bound(profile.upper), info.unit);
+    for (const ProfilePoint& point : profile.points)
+      fmt::print("  {:>12.5g}  deviance {:.2f}\n", point.value, point.deviance);
+  }
 }
 
-int identify(const IdentifyOptions& options) {
+Result<std::size_t> parameter_named(const std::string& name) {
+  if (const auto found = find_parameter(name)) return *found;
+  std::string known;
+  for (const ParameterInfo& info : kParameterTable) known += fmt::format(" {}", info.name);
+  return failure(fmt::format("there is no parameter '{}'; known are{}", name, known));
+}
+
+int identify_files(IdentifyOptions options) {
   if (const Result<void> writable = cli::check_writable(options.json); !writable)
     return cli::refuse(writable.error());
+  EstimatorOptions& settings = options.estimator;
+  if (!options.parameters.empty()) {
+    Result<BrakeParameters> start = read_brake_parameters(options.parameters);
+    if (!start) return cli::refuse(start.error());
+    settings.start = *start;
+  }
+  settings.loss = options.robust ? Loss::Robust : Loss::Squared;
+  for (const std::string& name : options.held) {
+    const Result<std::size_t> parameter = parameter_named(name);
+    if (!parameter) return cli::refuse(parameter.error());
+    settings.held[*parameter] = true;
+  }
+  std::vector<Parameter> to_profile;
+  for (const std::string& name : options.profiles) {
+    const Result<std::size_t> parameter = parameter_named(name);
+    if (!parameter) return cli::refuse(parameter.error());
+    if (settings.held[*parameter])
+      return cli::refuse(Error{fmt::format("{} is held: it has no profile", name)});
+    to_profile.push_back(static_cast<Parameter>(*parameter));
+  }
+  if (const Result<void> valid = settings.validate(); !valid) return cli::refuse(valid.error());
   std::vector<Run> runs;
   for (const std::string& file : options.files) {
     Result<LoadedRun> loaded = read_run(file);
@@ -88,17 +200,23 @@ int identify(const IdentifyOptions& options) {
     for (const std::string& notice : loaded->notices) cli::print_notice(notice);
     runs.push_back(std::move(loaded->run));
   }
-  EstimatorOptions settings;
-  if (!options.parameters.empty()) {
-    Result<BrakeParameters> start = read_brake_parameters(options.parameters);
-    if (!start) return cli::refuse(start.error());
-    settings.start = *start;
+  const Method method = *parse_method(options.method);
+  const Estimate summary = identify(method, runs, settings);
+  std::vector<Profile> profiles;
+  if (summary.converged()) {
+    cli::ProgressLine progress;
+    for (const Parameter parameter : to_profile) {
+      progress.show(static_cast<double>(profiles.size()) / static_cast<double>(to_profile.size()),
+                    fmt::format("profile of {}", kParameterTable[parameter].name));
+      profiles.push_back(profile_likelihood(parameter, method, runs, settings, summary));
+    }
+  } else if (!to_profile.empty()) {
+    cli::print_notice("no profile likelihood, since there is no estimate to start it from");
   }
-  const Estimate summary = identify_output_error(runs, settings);
-  if (const Result<void> written = cli::write_json(options.json, identify_json(summary, runs.size()));
+  if (const Result<void> written = cli::write_json(options.json, identify_json(summary, options, profiles));
       !written)
     return cli::refuse(written.error());
-  if (options.json != "-") print_table(summary, runs.size());
+  if (options.json != "-") print_table(summary, options, profiles);
   return cli::kSuccess;
 }
 
@@ -110,16 +228,37 @@ void add_identify_command(CLI::App& app, int& exit_code) {
   command->add_option("runs", options->files, "run files (CSV), in chronological order")
       ->required()
       ->type_name("RUN.csv");
-  command->add_option("--method", options->method, "oem: output error method")
-      ->check(CLI::IsMember({"oem"}))
+  command
+      ->add_option(
+          "--method", options->method,
+          "oem: output error method; pem: prediction error method, better where the torque reading is "
+          "noisy or the brake moves slowly under load")
+      ->check(CLI::IsMember({"oem", "pem"}))
       ->capture_default_str();
   command
       ->add_option("--parameters", options->parameters,
                    "start values and fixed J, N (default: the paper's Table I)")
       ->type_name("FILE.toml");
+  command->add_option("--hold", options->held, "parameters that stay at their start value")
+      ->type_name("NAME");
+  command->add_flag(
+      "--robust", options->robust,
+      "spikes in the readings count little (Huber's loss); slightly less efficient without them");
+  command->add_option("--noise-force", options->estimator.noise_force_N, "N, if known: standard deviation")
+      ->type_name("N");
+  command->add_option("--noise-velocity", options->estimator.noise_velocity_rad_s, "rad/s, if known")
+      ->type_name("RAD/S");
+  command
+      ->add_option("--noise-torque", options->estimator.noise_torque_Nm,
+                   "N m, if known: of the torque reading, per millisecond")
+      ->type_name("NM");
+  command
+      ->add_option("--profile", options->profiles,
+                   "profile likelihood of these parameters: an interval without the normal approximation")
+      ->type_name("NAME");
   command->add_option("--json", options->json, "write the result as clampd.identify/1; - for standard output")
       ->type_name("FILE");
-  command->callback([options, &exit_code] { exit_code = identify(*options); });
+  command->callback([options, &exit_code] { exit_code = identify_files(*options); });
 }
 
 }  // namespace clampd::ctl

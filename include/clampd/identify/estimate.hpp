@@ -42,7 +42,7 @@ using OffsetSensitivity = Eigen::Matrix<double, static_cast<int>(kParameterCount
 
 /// What an estimator found out from one or several runs: shared theta, each run its own initial state, every
 /// run with the same noise. Numbers are NaN where there is no estimate; entries of held parameters in the
-/// covariances are zero.
+/// covariances are zero. Not identifiable: NaN for those parameters that the data do not determine.
 struct Estimate {
   Termination termination = Termination::NumericalFailure;
   std::string message;  ///< why it stopped, in words
@@ -66,6 +66,8 @@ struct Estimate {
   double noise_torque_Nm = 0.0;
   double force_rms_N = 0.0;  ///< of the residuals over all runs: open-loop for OEM, one-step for PEM
   double velocity_rms_rad_s = 0.0;
+  /// Of the data under the weights of the fit: Gaussian, residuals independent (OEM) or innovations (PEM).
+  double log_likelihood = 0.0;
   std::vector<double> run_force_rms_N;  ///< the same per run
   std::vector<double> run_velocity_rms_rad_s;
 
