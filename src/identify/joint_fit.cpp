@@ -17,12 +17,13 @@ namespace {
 /// Stands for the cost where the model cannot be simulated, so that the solver steps back.
 constexpr double kImpossible = 1e30;
 
-/// Decrease of the weighted squares at which a fit ends: a last step of 0.1 standard deviations. The cost has
-/// faint kinks, where a stop crosses a sample, that make a finer search bounce.
-constexpr double kTolerance = 2e-2;
+/// Decrease of the weighted squares, per unknown, at which a fit ends: a last step of a twentieth of a
+/// standard deviation each. The cost has faint kinks, where a stop crosses a sample, that make a finer search
+/// bounce.
+constexpr double kToleranceEach = 2.5e-3;
 
-/// From this expected decrease on a step that fails to bring it is an end too: a kink.
-constexpr double kNearTheEnd = 0.3;
+/// From this expected decrease per unknown on a step that fails to bring it is an end too: a kink.
+constexpr double kNearTheEndEach = 0.035;
 
 /// Iterations in one go, far from the end; near it one at a time, to look whether anything is left to gain.
 constexpr int kRoundIterations = 8;
@@ -341,13 +342,14 @@ std::vector<Eigen::Vector2d> JointFit::prior_distances() const {
 }
 
 Descent Minimiser::descend(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations) {
+  const double tolerance = kToleranceEach * fit.NumParameters();
   Descent descent;
   descent.possible = fit.evaluate(unknowns);
   bool stalled = false;
   while (descent.possible && descent.iterations < max_iterations) {
     const double expected = fit.expected_decrease();
-    descent.at_kink = stalled && expected >= kTolerance;
-    descent.settled = expected < kTolerance || (stalled && expected < kNearTheEnd);
+    descent.at_kink = stalled && expected >= tolerance;
+    descent.settled = expected < tolerance || (stalled && expected < kNearTheEndEach * fit.NumParameters());
     if (descent.settled) break;
     const double before = fit.squares();
     // One step, and only if that fails the solver's own search for a shorter one.
@@ -367,7 +369,7 @@ Descent Minimiser::descend(JointFit& fit, Eigen::VectorXd& unknowns, int max_ite
 }
 
 Descent Minimiser::operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations) {
-  solver_.options.function_tolerance = kTolerance;
+  solver_.options.function_tolerance = kToleranceEach * fit.NumParameters();
   solver_.options.parameter_tolerance = 1e-9;
   Descent descent = descend(fit, unknowns, max_iterations);
   if (kinks_ == Kinks::Accept) return descent;
@@ -378,7 +380,7 @@ Descent Minimiser::operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_
     beyond_ = unknowns + leap * beyond_;
     const Descent other = descend(fit, beyond_, kLeapIterations);
     descent.iterations += other.iterations;
-    if (other.possible && fit.squares() < reached - kTolerance) {
+    if (other.possible && fit.squares() < reached - kToleranceEach * fit.NumParameters()) {
       unknowns = beyond_;
       descent.at_kink = other.at_kink;
       leap = 0.5 * kFirstLeap;

@@ -170,24 +170,23 @@ void ignore_torque_noise(const Variances& variances, const ReadingWeights& weigh
 }
 
 Normal normal_equations(LinearRun& run) noexcept {
-  // Derivatives of the state's distance from the reference by the unknowns; last column: that distance
-  // itself.
+  // Derivatives of the state's distance from the reference by the unknowns; last row: that distance itself.
+  // Transposed, so that the unknowns lie side by side in memory.
   Columns distance = Columns::Zero();
-  distance(0, kInitialPositionColumn) = distance(1, kInitialVelocityColumn) = 1.0;
+  distance(kInitialPositionColumn, 0) = distance(kInitialVelocityColumn, 1) = 1.0;
   for (std::size_t k = 0; k < run.rows.size(); ++k) {
     const LinearRow& row = run.rows[k];
     const RowGain& gain = run.gains[k];
-    Columns innovation = -row.by_state.lazyProduct(distance);
-    innovation.leftCols<kTheta>() -= row.by_parameter;
-    innovation.col(kDataColumn) += row.residual;
-    const Columns weighted = gain.weight.lazyProduct(innovation);
+    Columns innovation = -distance.lazyProduct(row.by_state.transpose());
+    innovation.topRows<kTheta>() -= row.by_parameter.transpose();
+    innovation.row(kDataColumn) += row.residual.transpose();
     const auto at = static_cast<Eigen::Index>(2 * k);
-    run.innovations.middleCols<2>(at) = innovation.transpose();
-    run.weighted_innovations.middleCols<2>(at) = weighted.transpose();
-    Columns corrected = distance + gain.gain.lazyProduct(innovation);
-    corrected.col(kDataColumn) -= row.correction;
-    distance.noalias() = row.transition.lazyProduct(corrected);
-    distance.leftCols<kTheta>() += row.step_by_parameter;
+    run.innovations.middleCols<2>(at) = innovation;
+    run.weighted_innovations.middleCols<2>(at).noalias() = innovation.lazyProduct(gain.weight);
+    Columns corrected = distance + innovation.lazyProduct(gain.gain.transpose());
+    corrected.row(kDataColumn) -= row.correction.transpose();
+    distance.noalias() = corrected.lazyProduct(row.transition.transpose());
+    distance.topRows<kTheta>() += row.step_by_parameter.transpose();
   }
   return run.innovations * run.weighted_innovations.transpose();
 }
@@ -195,9 +194,8 @@ Normal normal_equations(LinearRun& run) noexcept {
 ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<double, kUnknowns, 1>& step,
                            LinearRun& run) noexcept {
   ScoreMoments moments;
-  const auto at_step = [&](const Columns& columns) -> Eigen::Vector2d {
-    return columns.leftCols<kUnknowns>() * step + columns.col(kDataColumn);
-  };
+  Eigen::Matrix<double, kUnknowns + 1, 1> at_step;
+  at_step << step, 1.0;
   const auto size = static_cast<Eigen::Index>(run.rows.size());
   auto force = run.scores.leftCols(size);
   auto velocity = run.scores.middleCols(size, size);
@@ -208,26 +206,25 @@ ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<do
   for (std::size_t k = run.rows.size(); k-- > 0;) {
     const LinearRow& row = run.rows[k];
     const RowGain& gain = run.gains[k];
+    const auto at = static_cast<Eigen::Index>(k);
+    torque.middleCols<2>(2 * at).noalias() = later.lazyProduct(row.torque_root);
     moments.torque_trace += (row.torque_covariance.array() * later_square.array()).sum();
 
-    const Columns through = row.transition.transpose().lazyProduct(later);
+    const Columns through = later.lazyProduct(row.transition);
     const Eigen::Matrix2d square = row.transition.transpose() * later_square * row.transition;
     const Columns of_reading =
-        run.weighted_innovations.middleCols<2>(2 * static_cast<Eigen::Index>(k)).transpose() -
-        gain.gain.transpose().lazyProduct(through);
+        run.weighted_innovations.middleCols<2>(2 * at) - through.lazyProduct(gain.gain);
     const Eigen::Matrix2d reading_square = gain.weight + gain.gain.transpose() * square * gain.gain;
     const double force_share = weights.force.empty() ? 1.0 : 1.0 / weights.force[k];
     const double velocity_share = weights.velocity.empty() ? 1.0 : 1.0 / weights.velocity[k];
-    const auto at = static_cast<Eigen::Index>(k);
-    force.col(at) = std::sqrt(force_share) * of_reading.row(0).transpose();
-    velocity.col(at) = std::sqrt(velocity_share) * of_reading.row(1).transpose();
-    torque.middleCols<2>(2 * at) = later.transpose() * row.torque_root;
+    force.col(at) = std::sqrt(force_share) * of_reading.col(0);
+    velocity.col(at) = std::sqrt(velocity_share) * of_reading.col(1);
     moments.force_trace += force_share * reading_square(0, 0);
     moments.velocity_trace += velocity_share * reading_square(1, 1);
-    moments.offsets += of_reading.leftCols<kUnknowns>().transpose();
-    run.disturbances[k] = {at_step(of_reading), at_step(later)};
+    moments.offsets += of_reading.topRows<kUnknowns>();
+    run.disturbances[k] = {of_reading.transpose() * at_step, later.transpose() * at_step};
 
-    later = through + row.by_state.transpose().lazyProduct(of_reading);
+    later = through + of_reading.lazyProduct(row.by_state);
     const Eigen::Matrix2d remaining = Eigen::Matrix2d::Identity() - gain.gain * row.by_state;
     later_square =
         row.by_state.transpose() * gain.weight * row.by_state + remaining.transpose() * square * remaining;

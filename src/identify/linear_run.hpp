@@ -47,10 +47,10 @@ struct ReadingWeights {
   std::vector<double> velocity;
 };
 
-/// Of all unknowns and the data, in a row's two readings or two states.
-using Columns = Eigen::Matrix<double, 2, kUnknowns + 1>;
+/// Of all unknowns and the data: of a row's two readings or two states.
+using Columns = Eigen::Matrix<double, kUnknowns + 1, 2>;
 
-/// The same, transposed, of many rows: what is summed over all rows is then one matrix product.
+/// The same of many rows: what is summed over all rows is then one matrix product.
 using ColumnList = Eigen::Matrix<double, kUnknowns + 1, Eigen::Dynamic>;
 
 struct RowGain {

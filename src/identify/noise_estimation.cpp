@@ -12,8 +12,9 @@ namespace clampd::identify {
 
 namespace {
 
-/// A gain in likelihood that no longer matters: a step of a tenth of the variances' own uncertainty.
-constexpr double kDecrement = 1e-2;
+/// A gain in likelihood per run that no longer matters: a step of a tenth of what one run leaves uncertain
+/// about the variances.
+constexpr double kDecrementEach = 1e-2;
 
 constexpr int kMostHalvings = 6;
 
@@ -156,6 +157,7 @@ class RestrictedLikelihood {
     return away_from_zero_ > 0.0 ? likelihood - away_from_zero_ * std::log(variances[2]) : likelihood;
   }
 
+  std::size_t runs() const { return runs_.size(); }
   bool white() const { return is_white(runs_, normals_, held_); }
   /// At the point evaluated last.
   LikelihoodSlopes slopes() {
@@ -200,7 +202,7 @@ double minimise(RestrictedLikelihood& likelihood, const std::array<bool, 3>& fix
         if (free[j] && j != i) scaled(i, j) = information(i, j) / (scale[i] * scale[j]);
     }
     const Eigen::Vector3d direction = scaled.ldlt().solve(right);
-    settled = direction.dot(right) < kDecrement;
+    settled = direction.dot(right) < kDecrementEach * static_cast<double>(likelihood.runs());
     if (settled) break;
     double length = 1.0;
     for (int halving = 0; halving < kMostHalvings; ++halving, length *= 0.5) {
@@ -208,7 +210,7 @@ double minimise(RestrictedLikelihood& likelihood, const std::array<bool, 3>& fix
       for (int i = 0; i < 3; ++i) {
         if (!free[i]) continue;
         const double moved = values[i] + length * direction[i] / scale[i];
-        next[i] = std::clamp(moved, std::max(0.1 * values[i], smallest(i)), 16.0 * values[i]);
+        next[i] = std::clamp(moved, std::max(0.02 * values[i], smallest(i)), 16.0 * values[i]);
       }
       const double reached = likelihood(next);
       at_values = reached <= criterion;
