@@ -120,7 +120,38 @@ TEST_F(CommandLine, SimulatesAndIdentifies) {
   ASSERT_EQ(document.at("covariance_normalised").size(), 7U);
   for (const auto& parameter : document.at("parameters"))
     EXPECT_NEAR(parameter.at("normalised"), 1.0, 0.3) << parameter;
-  EXPECT_TRUE(document.at("noise").at("torque_Nm").is_null());
+  EXPECT_LT(document.at("noise").at("torque_Nm"), 0.02);
+}
+
+TEST_F(CommandLine, IdentifiesByPredictionErrorsWithParametersHeld) {
+  ASSERT_EQ(clampctl("simulate --manoeuvre optimal --seed 5 --out runs").exit_code, 0);
+  const Outcome identified = clampctl(
+      "identify runs/optimal-001.csv --method pem --robust --hold k1 ws --profile TC --noise-torque 0.002 "
+      "--json fit.json");
+  EXPECT_EQ(identified.exit_code, 0) << identified.output;
+  EXPECT_THAT(identified.output, HasSubstr("one-step prediction errors"));
+  const auto document = nlohmann::json::parse(read("fit.json"));
+  EXPECT_EQ(document.at("method"), "pem");
+  EXPECT_EQ(document.at("noise").at("torque_Nm"), 0.002);
+  for (const auto& parameter : document.at("parameters"))
+    if (parameter.at("held")) {
+      EXPECT_EQ(parameter.at("normalised"), 1.0) << parameter;
+      EXPECT_EQ(parameter.at("sd"), 0.0) << parameter;
+    }
+  const auto& profile = document.at("profiles").at(0);
+  EXPECT_EQ(profile.at("name"), "TC");
+  EXPECT_LT(profile.at("lower"), profile.at("upper"));
+}
+
+TEST_F(CommandLine, NamesWhatARunCannotTell) {
+  ASSERT_EQ(clampctl("simulate --manoeuvre clearance --out runs").exit_code, 0);
+  const Outcome identified = clampctl("identify runs/clearance-001.csv --json fit.json");
+  EXPECT_EQ(identified.exit_code, 0) << identified.output;
+  EXPECT_THAT(identified.output, HasSubstr("k2    not identifiable from these data"));
+  const auto document = nlohmann::json::parse(read("fit.json"));
+  EXPECT_FALSE(document.at("converged"));
+  EXPECT_TRUE(document.at("parameters").at(1).at("value").is_null());
+  EXPECT_FALSE(document.at("parameters").at(2).at("value").is_null());
 }
 
 TEST_F(CommandLine, SimulationsRepeatBitForBit) {
