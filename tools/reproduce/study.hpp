@@ -31,7 +31,7 @@ inline constexpr double kBenchAmplification_rad_s_Nm = 3e3;
 struct StudyOptions {
   std::uint64_t seed = 1;
   std::uint16_t repeats = 20;  ///< of each experiment; at least 3
-  int starts = 400;            ///< local searches for a design of 0.3 s; others in proportion to their length
+  int starts = 300;            ///< local searches for a design of 0.3 s; others in proportion to their length
   /// Called from the calling thread: share of the work done, and what is being done.
   std::function<void(double fraction, std::string_view stage)> progress;
 
