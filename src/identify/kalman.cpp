@@ -85,6 +85,28 @@ KalmanViews kalman_views(const Run& run, const BrakeParameters& parameters, cons
   return views;
 }
 
+PredictionCosts prediction_costs(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+                                 const NoiseLevels& noise) {
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  identify::LinearRun linear;
+  linear.resize(run.size());
+  if (!identify::extended_kalman_filter(run, parameters, initial, identify::variances_of(noise), {}, linear))
+    return {kInfinity, kInfinity};
+  const PaperBrake model = paper_brake(parameters);
+  double innovations = linear.log_determinant;
+  double as_printed = linear.log_determinant;
+  for (std::size_t k = 0; k < run.size(); ++k) {
+    const identify::LinearRow& row = linear.rows[k];
+    const Eigen::Matrix2d& weight = linear.gains[k].weight;
+    const Reading corrected = model.read(linear.reference[k] + row.correction);
+    const Eigen::Vector2d left(run.force_N[k] - corrected.force_N,
+                               run.velocity_rad_s[k] - corrected.velocity_rad_s);
+    innovations += row.residual.dot(weight * row.residual);
+    as_printed += left.dot(weight * left);
+  }
+  return {0.5 * innovations, 0.5 * as_printed};
+}
+
 BandedRun free_run(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
                    const NoiseLevels& noise) {
   BandedRun out;

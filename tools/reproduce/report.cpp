@@ -127,7 +127,8 @@ void add_conditions(Page& page) {
        "each sample instead of 0.0488."},
       {"PEM",
        "On innovations: y(k) − h(x̂(k|k−1)) weighted with S(k), plus ½ Σ log det S(k). The printed cost takes "
-       "the corrected output ŷ(k|k), which has already seen y(k); with R free it has no minimum."},
+       "the corrected output ŷ(k|k), which has already seen y(k): it favours too much torque noise and too "
+       "little of the sensors'."},
   });
   Table table{
       .caption = "Parameters, normalised by Table I.",

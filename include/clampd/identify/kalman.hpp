@@ -33,6 +33,19 @@ struct KalmanViews {
 KalmanViews kalman_views(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
                          const NoiseLevels& noise);
 
+/// The two readings of Procedure 3's cost, half the sum of e' S^-1 e + log det S over the rows.
+struct PredictionCosts {
+  double innovations;  ///< e(k) = y(k) - h(x(k|k-1)): minus the log-likelihood, less a constant
+  /// As printed, e(k) = y(k) - h(x(k|k)), an output that has already been corrected by the reading it is
+  /// compared with. For comparison only: it favours filters that follow the readings, with too much torque
+  /// noise and too little noise of the sensors.
+  double as_printed;
+};
+
+/// Infinite if the filter diverges.
+PredictionCosts prediction_costs(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+                                 const NoiseLevels& noise);
+
 /// The open-loop simulation from `initial`, with the band that the torque's noise leaves it.
 BandedRun free_run(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
                    const NoiseLevels& noise);
