@@ -16,6 +16,9 @@ namespace {
 /// about the variances.
 constexpr double kDecrementEach = 1e-2;
 
+/// A whole step that promised no more than this many times as much is the last one: scoring converges fast.
+constexpr double kLastStep = 5.0;
+
 constexpr int kMostHalvings = 6;
 
 /// A faint pull of the torque's variance away from zero, as by a prior proportional to its power: where the
@@ -202,8 +205,9 @@ double minimise(RestrictedLikelihood& likelihood, const std::array<bool, 3>& fix
         if (free[j] && j != i) scaled(i, j) = information(i, j) / (scale[i] * scale[j]);
     }
     const Eigen::Vector3d direction = scaled.ldlt().solve(right);
-    settled = direction.dot(right) < kDecrementEach * static_cast<double>(likelihood.runs());
-    if (settled) break;
+    const double tolerance = kDecrementEach * static_cast<double>(likelihood.runs());
+    const double promised = direction.dot(right);
+    if (promised < tolerance) break;
     double length = 1.0;
     for (int halving = 0; halving < kMostHalvings; ++halving, length *= 0.5) {
       Eigen::Vector3d next = values;
@@ -217,6 +221,7 @@ double minimise(RestrictedLikelihood& likelihood, const std::array<bool, 3>& fix
       if (!at_values) continue;
       values = next;
       criterion = reached;
+      settled = halving == 0 && promised < kLastStep * tolerance;
       break;
     }
     if (!at_values) break;
