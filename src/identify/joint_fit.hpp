@@ -77,6 +77,10 @@ class JointFit {
   void gauss_newton_step(Eigen::VectorXd& step) const;
   JointNormal joint_normal(const Held& held) const { return eliminate_initial_states(now_.normals, held); }
   const Normal& normal(std::size_t run) const { return now_.normals[run]; }
+  const Run& run(std::size_t run) const { return runs_[run]; }
+  BrakeParameters parameters() const { return {theta_of(now_.unknowns), options_.start.fixed}; }
+  Eigen::Vector2d initial(std::size_t run) const { return initial_of(now_.unknowns, run); }
+  bool uses_innovations() const { return innovations_; }
   /// Mean squared residuals (force N^2, velocity rad^2/s^2), weighted if the loss is robust: (9), its
   /// diagonal.
   Eigen::Vector2d mean_squares() const;
