@@ -133,6 +133,7 @@ struct Diagnosis {
   std::vector<UnseenEffect> unseen;
   Misfit misfit;
   std::vector<Rung> ladder;
+  double alarm_evidence = std::numeric_limits<double>::quiet_NaN();  ///< from which on a rung raises the alarm
   std::optional<HeldOutGain> gain;
   std::vector<EstimatedParameter> parameters_before;
   std::vector<EstimatedParameter> parameters_after;
