@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <iterator>
 #include <optional>
+#include <span>
 #include <string_view>
 
 #include <fmt/format.h>
@@ -19,6 +20,8 @@ struct Column {
   std::string_view name;
   std::vector<double> Run::*values;
   bool required;
+  double scale = 1.0;
+  double wrap = 0.0;
 };
 
 constexpr std::array<Column, 5> kColumns{{
@@ -108,14 +111,27 @@ void append_number(std::string& text, double value) {
   text.append(buffer.data(), end);
 }
 
-}  // namespace
+/// Readings that start again after `wrap` go on instead: no step is longer than half of it.
+void unwrap(std::vector<double>& values, double wrap) {
+  double turns = 0.0;
+  double last = values.empty() ? 0.0 : values.front();
+  for (double& value : values) {
+    turns -= std::round((value - last) / wrap);
+    last = value;
+    value += turns * wrap;
+  }
+}
 
-Result<LoadedRun> parse_run(const std::string& text, const std::string& name) {
+Result<LoadedRun> parse_columns(const std::string& text, const std::string& name,
+                                std::span<const Column> columns) {
   LineReader lines(text);
   std::string_view line;
-  if (!lines.next(line))
-    return failure(fmt::format(
-        "{}:1:1: the file is empty; expected a header with time_s,torque_Nm,velocity_rad_s,force_N", name));
+  if (!lines.next(line)) {
+    std::string expected;
+    for (const Column& column : columns)
+      if (column.required) expected += (expected.empty() ? "" : ",") + std::string(column.name);
+    return failure(fmt::format("{}:1:1: the file is empty; expected a header with {}", name, expected));
+  }
   const auto at = [&](std::size_t column, std::string_view message) {
     return failure(fmt::format("{}:{}:{}: {}", name, lines.number(), column, message));
   };
@@ -128,7 +144,7 @@ Result<LoadedRun> parse_run(const std::string& text, const std::string& name) {
   LoadedRun loaded;
   loaded.run.name = name;
   std::vector<std::vector<double>*> targets(header.size(), nullptr);
-  for (const Column& column : kColumns) {
+  for (const Column& column : columns) {
     std::size_t found = header.size();
     for (std::size_t i = 0; i < header.size(); ++i) {
       if (header[i].text != column.name) continue;
@@ -163,18 +179,51 @@ Result<LoadedRun> parse_run(const std::string& text, const std::string& name) {
                   fmt::format("{} is not a finite number: \"{}\"", header[i].text, shown(fields[i].text)));
       if (targets[i] == &loaded.run.time_s && !loaded.run.time_s.empty() &&
           *value <= loaded.run.time_s.back())
-        return at(fields[i].column,
-                  fmt::format("time_s does not increase: {} after {}", *value, loaded.run.time_s.back()));
+        return at(fields[i].column, fmt::format("{} does not increase: {} after {}", header[i].text, *value,
+                                                loaded.run.time_s.back()));
       targets[i]->push_back(*value);
     }
   }
   if (loaded.run.size() == 0)
     return failure(fmt::format("{}:{}:1: the file has a header and no rows", name, lines.number() + 1));
+  for (const Column& column : columns) {
+    std::vector<double>& values = loaded.run.*column.values;
+    if (column.wrap > 0.0) unwrap(values, column.wrap);
+    if (column.scale != 1.0)
+      for (double& value : values) value *= column.scale;
+  }
   return loaded;
+}
+
+std::vector<Column> columns_of(const ColumnMap& map) {
+  std::vector<Column> columns;
+  const auto add = [&](const ColumnSource& source, std::vector<double> Run::*values) {
+    columns.push_back({source.column, values, true, source.scale, source.wrap});
+  };
+  add(map.time, &Run::time_s);
+  add(map.torque, &Run::torque_Nm);
+  if (map.velocity) add(*map.velocity, &Run::velocity_rad_s);
+  if (map.position) add(*map.position, &Run::position_rad);
+  if (map.force) add(*map.force, &Run::force_N);
+  return columns;
+}
+
+}  // namespace
+
+Result<LoadedRun> parse_run(const std::string& text, const std::string& name) {
+  return parse_columns(text, name, kColumns);
+}
+
+Result<LoadedRun> parse_run(const std::string& text, const std::string& name, const ColumnMap& columns) {
+  return parse_columns(text, name, columns_of(columns));
 }
 
 Result<LoadedRun> read_run(const std::string& path) {
   return read_file(path).and_then([&](const std::string& text) { return parse_run(text, path); });
+}
+
+Result<LoadedRun> read_run(const std::string& path, const ColumnMap& columns) {
+  return read_file(path).and_then([&](const std::string& text) { return parse_run(text, path, columns); });
 }
 
 std::string format_run(const Run& run) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -34,6 +35,26 @@ Result<LoadedRun> read_run(const std::string& path);
 
 /// The same from text; `name` stands for the file in messages.
 Result<LoadedRun> parse_run(const std::string& text, const std::string& name);
+
+/// Where a quantity of a run stands in a file that names and scales its columns otherwise.
+struct ColumnSource {
+  std::string column;
+  double scale = 1.0;  ///< reading times scale is in SI units
+  double wrap = 0.0;   ///< the reading starts again at zero after this many units; 0: never
+};
+
+/// The columns of a foreign file. What is absent leaves its array in the run empty.
+struct ColumnMap {
+  ColumnSource time{"time_s"};
+  ColumnSource torque{"torque_Nm"};
+  std::optional<ColumnSource> velocity;
+  std::optional<ColumnSource> position;
+  std::optional<ColumnSource> force;
+};
+
+/// As read_run() without a map, errors included.
+Result<LoadedRun> read_run(const std::string& path, const ColumnMap& columns);
+Result<LoadedRun> parse_run(const std::string& text, const std::string& name, const ColumnMap& columns);
 
 /// CSV text with 17 significant digits at most, so that reading it back gives the same doubles.
 std::string format_run(const Run& run);
