@@ -45,11 +45,16 @@ struct LibraryRule {
 
 const std::vector<LibraryRule>& library_rules() {
   static const std::vector<LibraryRule> kRules{
-      {"ceres/", {"identify"}, false},  {"nlopt", {"experiment"}, false},
-      {"coin/", {"experiment"}, false}, {"coin-or/", {"experiment"}, false},
-      {"Ip", {"experiment"}, false},    {"SQLiteCpp/", {"archive"}, false},
-      {"sqlite3", {"archive"}, false},  {"linux/can", {"drivers/can", "tools"}, true},
-      {"httplib", {"tools"}, true},     {"CLI/", {"tools"}, true},
+      {"ceres/", {"identify", "brake"}, false},
+      {"nlopt", {"experiment"}, false},
+      {"coin/", {"experiment"}, false},
+      {"coin-or/", {"experiment"}, false},
+      {"Ip", {"experiment"}, false},
+      {"SQLiteCpp/", {"archive"}, false},
+      {"sqlite3", {"archive"}, false},
+      {"linux/can", {"drivers/can", "tools"}, true},
+      {"httplib", {"tools"}, true},
+      {"CLI/", {"tools"}, true},
   };
   return kRules;
 }

@@ -2,11 +2,9 @@
 
 #include <memory>
 #include <span>
-#include <string>
 #include <string_view>
 #include <vector>
 
-#include "clampd/base/result.hpp"
 #include "clampd/record/run.hpp"
 
 namespace clampd {
@@ -21,7 +19,7 @@ std::string_view to_string(Location location) noexcept;
 struct EffectParameter {
   enum class Role {
     Strength,  ///< at `neutral` the base model is recovered
-    Shape,     ///< means nothing while the strengths are neutral; estimated from its `starts`
+    Shape,     ///< estimated, from each of its `starts`: nothing tells it while the strengths are neutral
     Choice,    ///< one of `starts`, not estimated
   };
   std::string_view name;
@@ -31,9 +29,8 @@ struct EffectParameter {
   double lower = 0.0;
   double upper = 0.0;
   double neutral = 0.0;
-  double scale = 1.0;  ///< the size of a change that matters
-  /// Estimated as its logarithm; must be positive.
-  bool logarithmic = false;
+  double scale = 1.0;        ///< the size of a change that matters
+  bool logarithmic = false;  ///< estimated as its logarithm; must be positive
   std::vector<double> starts = {};
 };
 
@@ -41,11 +38,18 @@ struct EffectParameter {
 struct EffectInfo {
   std::string_view name;  ///< as in every file and JSON document
   Location location = Location::TorqueBalance;
-  std::string_view cause;       ///< what is so, in a technician's words, without figures: "the brake has ..."
+  std::string_view cause;       ///< a sentence that a technician understands
   std::string_view excitation;  ///< what a run must do to show it: "reversals under load"
   std::vector<EffectParameter> parameters = {};
+  /// States of its own, beside position and velocity of the brake.
+  int states = 0;
+  /// The first so many of them start at an unknown value in each run, near zero; the others settled.
+  int free_states = 0;
+  /// May be named more than once: a further harmonic.
+  bool repeatable = false;
 };
 
+/// One physical effect beside the base model, pluggable: src/brake/effects/effect_equations.hpp.
 class Effect;
 
 /// THE catalogue of effects; a new one is one file in src/brake/effects and one line there.
@@ -56,10 +60,21 @@ const Effect* find_effect(std::string_view name);
 
 const EffectInfo& info_of(const Effect& effect);
 
-/// One effect as part of a model: a value for each of its parameters.
+/// The values of an effect's `starts` that depend on the runs, for one of its parameters (index); the table's
+/// where they do not.
+std::vector<double> starts_of(const Effect& effect, std::size_t parameter, std::span<const Run> runs);
+
+/// One effect as part of a model: a value for each of its parameters, SI.
 struct EffectValues {
   const Effect* effect = nullptr;
   std::vector<double> values;
 };
+
+/// How many whole samples late the readings are that an effect describes: the data are then moved instead of
+/// the model.
+struct EffectDelays {
+  int force = 0, velocity = 0, torque = 0;
+};
+EffectDelays delays_of(const EffectValues& values);
 
 }  // namespace clampd

@@ -1,0 +1,78 @@
+#include "src/brake/effects/catalogue.hpp"
+
+namespace clampd {
+
+namespace {
+
+using Role = EffectParameter::Role;
+
+class ChannelSkew final : public EquationsOf<ChannelSkew> {
+ public:
+  const EffectInfo& info() const override {
+    static const EffectInfo kInfo{.name = "channel-skew",
+                                  .location = Location::Timing,
+                                  .cause = "one channel is recorded samples later than the others",
+                                  .excitation = "readings that change quickly",
+                                  .parameters = {{.name = "fraction",
+                                                  .unit = "samples",
+                                                  .description = "of a sample, beside the whole ones",
+                                                  .lower = -0.25,
+                                                  .upper = 1.25,
+                                                  .scale = 0.2},
+                                                 {.name = "whole",
+                                                  .unit = "samples",
+                                                  .description = "late",
+                                                  .role = Role::Choice,
+                                                  .lower = 0,
+                                                  .upper = 10,
+                                                  .scale = 1,
+                                                  .starts = {0, 1, 2, 3, 4, 5, 6}},
+                                                 {.name = "channel",
+                                                  .unit = "",
+                                                  .description = "1 force, 2 velocity, 3 torque",
+                                                  .role = Role::Choice,
+                                                  .lower = 1,
+                                                  .upper = 3,
+                                                  .scale = 1,
+                                                  .starts = {1, 2, 3}}},
+                                  .states = 1};
+    return kInfo;
+  }
+  EffectDelays delays(std::span<const double> values) const override {
+    const int whole = static_cast<int>(values[1]);
+    EffectDelays late;
+    (values[2] == 1.0 ? late.force : values[2] == 2.0 ? late.velocity : late.torque) = whole;
+    return late;
+  }
+  /// The fraction, between the sample before and this one; of the torque, between this one and the next.
+  template <class T>
+  void torque(effects_detail::TorqueInput<T>& input, const effects_detail::Own<T>& own, T*) const {
+    if (effects_detail::value_of(own.parameters[2]) == 3.0)
+      input.torque_Nm += own.parameters[0] * (input.next_torque_Nm - input.torque_Nm);
+  }
+  template <class T>
+  void read(effects_detail::Readout<T>& readout, const effects_detail::Own<T>& own) const {
+    const double channel = effects_detail::value_of(own.parameters[2]);
+    if (channel == 1.0) readout.force_N += own.parameters[0] * (own.states[0] - readout.force_N);
+    if (channel == 2.0)
+      readout.velocity_rad_s += own.parameters[0] * (own.states[0] - readout.velocity_rad_s);
+  }
+  template <class T>
+  void filter(const effects_detail::Transit<T>& transit, const effects_detail::Own<T>& own, T* states) const {
+    states[0] = effects_detail::value_of(own.parameters[2]) == 2.0 ? transit.velocity_before_rad_s
+                                                                   : transit.force_before_N;
+  }
+  template <class T>
+  void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own, T* states) const {
+    states[0] = effects_detail::value_of(own.parameters[2]) == 2.0 ? instant.velocity : instant.force_N;
+  }
+};
+
+}  // namespace
+
+const Effect& channel_skew() {
+  static const ChannelSkew kEffect;
+  return kEffect;
+}
+
+}  // namespace clampd

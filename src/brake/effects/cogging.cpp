@@ -1,0 +1,57 @@
+#include "src/brake/effects/catalogue.hpp"
+
+namespace clampd {
+
+namespace {
+
+using Role = EffectParameter::Role;
+
+class Cogging final : public EquationsOf<Cogging> {
+ public:
+  const EffectInfo& info() const override {
+    static const EffectInfo kInfo{
+        .name = "cogging",
+        .location = Location::TorqueBalance,
+        .cause = "a torque repeats itself with the motor angle",
+        .excitation = "slow motion over many periods",
+        .parameters = {{.name = "sine",
+                        .unit = "N m",
+                        .description = "amplitude in phase with the angle from contact",
+                        .lower = -1,
+                        .upper = 1,
+                        .scale = 0.01},
+                       {.name = "cosine",
+                        .unit = "N m",
+                        .description = "amplitude a quarter period ahead",
+                        .lower = -1,
+                        .upper = 1,
+                        .scale = 0.01},
+                       {.name = "order",
+                        .unit = "1/rev",
+                        .description = "periods a motor revolution",
+                        .role = Role::Shape,
+                        .lower = 0.3,
+                        .upper = 80,
+                        .scale = 0.02,
+                        .starts = {1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12,
+                                   13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24}}},
+        .repeatable = true};
+    return kInfo;
+  }
+  template <class T>
+  void balance(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
+    using std::cos;
+    using std::sin;
+    const T angle = own.parameters[2] * instant.position;
+    instant.opposing_Nm += own.parameters[0] * sin(angle) + own.parameters[1] * cos(angle);
+  }
+};
+
+}  // namespace
+
+const Effect& cogging() {
+  static const Cogging kEffect;
+  return kEffect;
+}
+
+}  // namespace clampd

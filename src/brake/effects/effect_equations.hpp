@@ -1,0 +1,192 @@
+#pragma once
+
+#include <span>
+
+#include <ceres/jet.h>
+
+#include "clampd/brake/effect.hpp"
+
+namespace clampd {
+
+/// A number with its derivatives by up to eight others.
+using Jet = ceres::Jet<double, 8>;
+
+namespace effects_detail {
+
+inline double value_of(double number) {
+  return number;
+}
+inline double value_of(const Jet& number) {
+  return number.a;
+}
+
+/// An effect's own parameters (all of its table) and states, as numbers of type T.
+template <class T>
+struct Own {
+  const T* parameters;
+  const T* states;  ///< at the start of the stretch
+};
+
+/// From the torque reading to the torque that acts until the next row.
+template <class T>
+struct TorqueInput {
+  T torque_Nm;
+  T next_torque_Nm;  ///< reading of the next row
+  double gap_s;
+};
+
+/// One instant of a stretch of motion in one direction. An effect reads what came before it in this order,
+/// and changes what it is about.
+template <class T>
+struct Instant {
+  double time_s, run;
+  double direction;  ///< +1 or -1
+  T elapsed_s;       ///< since the start of the stretch
+  T travel;          ///< since then, signed (rad)
+  T position, velocity;
+  // force path
+  T pad_position;
+  T elastic_N;  ///< of the polynomial (3)
+  T force_N;    ///< of the pads
+  // friction (4), (5)
+  T coulomb_Nm, static_Nm, viscous_Nm_s_rad;
+  T grip;         ///< what the friction level is multiplied with: the direction
+  T opposing_Nm;  ///< any further torque against the motor's
+  // torque balance (2)
+  T torque_Nm, ratio_m_rad, inertia_kg_m2;
+};
+
+/// What the sensors make of a row.
+template <class T>
+struct Readout {
+  double time_s, run;
+  T force_N;         ///< true; then the reading
+  T velocity_rad_s;  ///< true; then the reading
+};
+
+/// From one row to the next, for filters in the readings.
+template <class T>
+struct Transit {
+  double gap_s;
+  T force_before_N, force_after_N;
+  T velocity_before_rad_s, velocity_after_rad_s;
+};
+
+template <class T>
+class Equations {
+ public:
+  virtual ~Equations() = default;
+  /// Changes `input`; `states` are at the row and end at the next.
+  virtual void on_torque(TorqueInput<T>& input, const Own<T>& own, T* states) const = 0;
+  virtual void on_pad(Instant<T>& instant, const Own<T>& own) const = 0;
+  virtual void on_force(Instant<T>& instant, const Own<T>& own) const = 0;
+  virtual void on_friction(Instant<T>& instant, const Own<T>& own) const = 0;
+  virtual void on_balance(Instant<T>& instant, const Own<T>& own) const = 0;
+  /// Own states at the end of a stretch.
+  virtual void on_remember(const Instant<T>& end, const Own<T>& own, T* states) const = 0;
+  virtual void on_read(Readout<T>& readout, const Own<T>& own) const = 0;
+  /// Own states of reading filters at the next row.
+  virtual void on_filter(const Transit<T>& transit, const Own<T>& own, T* states) const = 0;
+  /// Own states when everything has settled; `instant` holds force and torque.
+  virtual void on_settle(const Instant<T>& instant, const Own<T>& own, T* states) const = 0;
+};
+
+/// y' = (u - y) / lag over a gap in which u goes straight from `before` to `after`; y before is `state`.
+template <class T>
+T first_order(const T& lag_s, double gap_s, const T& before, const T& after, const T& state) {
+  using std::exp;
+  const T slope = (after - before) / gap_s;
+  if (!(value_of(lag_s) > 1e-3 * gap_s)) return after - slope * lag_s;
+  const T left = exp(-gap_s / lag_s);
+  return after - slope * lag_s * (1.0 - left) + (state - before) * left;
+}
+
+/// s goes to the direction of motion over a travel of `reach`.
+template <class T>
+T turned_round(const T& state, const T& travel, double direction, const T& reach) {
+  using std::exp;
+  return direction + (state - direction) * exp(-direction * travel / reach);
+}
+
+}  // namespace effects_detail
+
+/// See EquationsOf, from which every effect derives.
+class Effect : public effects_detail::Equations<double>, public effects_detail::Equations<Jet> {
+ public:
+  virtual const EffectInfo& info() const = 0;
+  /// Of 1 ms: more than one where the effect is stiff.
+  virtual int substeps() const { return 1; }
+  virtual std::vector<double> starts(std::size_t parameter, std::span<const Run>) const {
+    return info().parameters[parameter].starts;
+  }
+  virtual EffectDelays delays(std::span<const double> values) const {
+    (void)values;
+    return {};
+  }
+};
+
+/// An effect is written as templates over the number type; what it does not care about it leaves out.
+template <class Derived>
+class EquationsOf : public Effect {
+  template <class T>
+  using Own = effects_detail::Own<T>;
+
+ public:
+  template <class T>
+  void torque(effects_detail::TorqueInput<T>&, const Own<T>&, T*) const {}
+  template <class T>
+  void pad(effects_detail::Instant<T>&, const Own<T>&) const {}
+  template <class T>
+  void force(effects_detail::Instant<T>&, const Own<T>&) const {}
+  template <class T>
+  void friction(effects_detail::Instant<T>&, const Own<T>&) const {}
+  template <class T>
+  void balance(effects_detail::Instant<T>&, const Own<T>&) const {}
+  template <class T>
+  void remember(const effects_detail::Instant<T>&, const Own<T>&, T*) const {}
+  template <class T>
+  void read(effects_detail::Readout<T>&, const Own<T>&) const {}
+  template <class T>
+  void filter(const effects_detail::Transit<T>&, const Own<T>&, T*) const {}
+  template <class T>
+  void settle(const effects_detail::Instant<T>&, const Own<T>&, T*) const {}
+
+#define CLAMPD_EQUATIONS(T)                                                                    \
+  void on_torque(effects_detail::TorqueInput<T>& x, const Own<T>& own, T* s) const final {     \
+    derived().torque(x, own, s);                                                               \
+  }                                                                                            \
+  void on_pad(effects_detail::Instant<T>& x, const Own<T>& own) const final {                  \
+    derived().pad(x, own);                                                                     \
+  }                                                                                            \
+  void on_force(effects_detail::Instant<T>& x, const Own<T>& own) const final {                \
+    derived().force(x, own);                                                                   \
+  }                                                                                            \
+  void on_friction(effects_detail::Instant<T>& x, const Own<T>& own) const final {             \
+    derived().friction(x, own);                                                                \
+  }                                                                                            \
+  void on_balance(effects_detail::Instant<T>& x, const Own<T>& own) const final {              \
+    derived().balance(x, own);                                                                 \
+  }                                                                                            \
+  void on_remember(const effects_detail::Instant<T>& x, const Own<T>& own, T* s) const final { \
+    derived().remember(x, own, s);                                                             \
+  }                                                                                            \
+  void on_read(effects_detail::Readout<T>& x, const Own<T>& own) const final {                 \
+    derived().read(x, own);                                                                    \
+  }                                                                                            \
+  void on_filter(const effects_detail::Transit<T>& x, const Own<T>& own, T* s) const final {   \
+    derived().filter(x, own, s);                                                               \
+  }                                                                                            \
+  void on_settle(const effects_detail::Instant<T>& x, const Own<T>& own, T* s) const final {   \
+    derived().settle(x, own, s);                                                               \
+  }
+  CLAMPD_EQUATIONS(double)
+  CLAMPD_EQUATIONS(Jet)
+#undef CLAMPD_EQUATIONS
+
+ private:
+  const Derived& derived() const {
+    return static_cast<const Derived&>(*this);
+  }
+};
+
+}  // namespace clampd

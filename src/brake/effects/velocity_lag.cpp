@@ -1,0 +1,47 @@
+#include "src/brake/effects/catalogue.hpp"
+
+namespace clampd {
+
+namespace {
+
+using Role = EffectParameter::Role;
+
+class VelocityLag final : public EquationsOf<VelocityLag> {
+ public:
+  const EffectInfo& info() const override {
+    static const EffectInfo kInfo{.name = "velocity-lag",
+                                  .location = Location::VelocityReading,
+                                  .cause = "the reading of velocity comes late, as through a filter",
+                                  .excitation = "velocity that changes quickly",
+                                  .parameters = {{.name = "time_constant",
+                                                  .unit = "s",
+                                                  .description = "of the filter",
+                                                  .lower = -0.0002,
+                                                  .upper = 0.1,
+                                                  .scale = 0.0005}},
+                                  .states = 1};
+    return kInfo;
+  }
+  template <class T>
+  void read(effects_detail::Readout<T>& readout, const effects_detail::Own<T>& own) const {
+    readout.velocity_rad_s = own.states[0];
+  }
+  template <class T>
+  void filter(const effects_detail::Transit<T>& transit, const effects_detail::Own<T>& own, T* states) const {
+    states[0] = effects_detail::first_order(own.parameters[0], transit.gap_s, transit.velocity_before_rad_s,
+                                            transit.velocity_after_rad_s, own.states[0]);
+  }
+  template <class T>
+  void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>&, T* states) const {
+    states[0] = instant.velocity;
+  }
+};
+
+}  // namespace
+
+const Effect& velocity_lag() {
+  static const VelocityLag kEffect;
+  return kEffect;
+}
+
+}  // namespace clampd

@@ -1,0 +1,267 @@
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "clampd/brake/extended_brake.hpp"
+#include "clampd/brake/integrator.hpp"
+#include "src/brake/effects/effect_equations.hpp"
+
+namespace clampd {
+
+/// The extended brake in any number type: the scheme of integrator.hpp (Runge-Kutta of order four with the
+/// sign of friction frozen, the instant of v = 0 found inside of a step, then stick or reversal), with the
+/// effects' share at each stage. Their own states change with the travel or the time of a stretch in one
+/// direction and are known there in closed form.
+template <class T>
+class ExtendedEquations {
+ public:
+  static constexpr int kMostOwn = 32;
+
+  /// Keeps a reference to `parameters`.
+  ExtendedEquations(const ExtendedParameters& parameters, int substeps)
+      : parameters_(&parameters), fixed_(parameters.base.fixed), substeps_(substeps) {
+    for (std::size_t i = 0; i < kParameterCount; ++i)
+      theta_[i] = T(parameters.base.theta[static_cast<Eigen::Index>(i)]);
+    T* own = own_;
+    for (const EffectValues& values : parameters.effects)
+      for (const double value : values.values) *own++ = T(value);
+  }
+
+  T& number(const ExtendedBrake::Place& place) {
+    if (place.effect < 0) return theta_[place.parameter];
+    std::size_t at = static_cast<std::size_t>(place.parameter);
+    for (std::size_t e = 0; e < static_cast<std::size_t>(place.effect); ++e)
+      at += parameters_->effects[e].values.size();
+    return own_[at];
+  }
+
+  void settle(const T& position, const T& velocity, const RowInput& first, T* states) const {
+    states[0] = position;
+    states[1] = velocity;
+    const T* own = own_;
+    T* own_states = states + 2;
+    for (const EffectValues& values : parameters_->effects)
+      for (int i = 0; i < values.effect->info().states; ++i) *own_states++ = T(0.0);
+    effects_detail::Instant<T> now = start_of(first, effects_detail::value_of(velocity) < 0.0 ? -1.0 : 1.0);
+    complete(now, position, velocity, T(0.0), T(0.0), T(first.torque_Nm), states);
+    own_states = states + 2;
+    for (const EffectValues& values : parameters_->effects) {
+      equations(values).on_settle(now, {own, own_states}, own_states);
+      own += values.values.size();
+      own_states += values.effect->info().states;
+    }
+  }
+
+  effects_detail::Readout<T> read(const T* states, const RowInput& row) const {
+    effects_detail::Readout<T> readout{row.time_s, row.run, force_at(states, row), states[1]};
+    each(states, [&](const auto& effect, const auto& own, int) { effect.on_read(readout, own); });
+    return readout;
+  }
+
+  /// `values` is the same model in plain numbers: it finds the crossings.
+  void advance(T* states, const T& torque, const RowInput& row,
+               const ExtendedEquations<double>& values) const {
+    effects_detail::TorqueInput<T> input{torque, T(row.next_torque_Nm), row.gap_s};
+    T next[ExtendedBrake::kMostStates];
+    std::copy(states, states + ExtendedBrake::kMostStates, next);
+    each(states,
+         [&](const auto& effect, const auto& own, int at) { effect.on_torque(input, own, next + at); });
+    const T force_before = force_at(states, row);
+    const T velocity_before = states[1];
+    std::copy(next, next + ExtendedBrake::kMostStates, states);
+    const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * substeps_;
+    for (int i = 0; i < steps; ++i) step(states, input.torque_Nm, row, row.gap_s / steps, values);
+    const effects_detail::Transit<T> transit{row.gap_s, force_before, force_at(states, row), velocity_before,
+                                             states[1]};
+    std::copy(states, states + ExtendedBrake::kMostStates, next);
+    each(states,
+         [&](const auto& effect, const auto& own, int at) { effect.on_filter(transit, own, next + at); });
+    std::copy(next, next + ExtendedBrake::kMostStates, states);
+  }
+
+  struct Reached {
+    T position, velocity;
+  };
+  Reached runge_kutta(const T* states, const T& torque, const RowInput& row, double direction,
+                      const T& length) const {
+    effects_detail::Instant<T> now = start_of(row, direction);
+    const T& p0 = states[0];
+    const T& v0 = states[1];
+    const T half = 0.5 * length;
+    const T sixth = length / 6.0;
+    const auto acceleration = [&](const T& position, const T& velocity, const T& elapsed) {
+      complete(now, position, velocity, position - p0, elapsed, torque, states);
+      return acceleration_of(now);
+    };
+    const T a0 = acceleration(p0, v0, T(0.0));
+    const T v1 = v0 + half * a0;
+    const T a1 = acceleration(p0 + half * v0, v1, half);
+    const T v2 = v0 + half * a1;
+    const T a2 = acceleration(p0 + half * v1, v2, half);
+    const T v3 = v0 + length * a2;
+    const T a3 = acceleration(p0 + length * v2, v3, length);
+    return {p0 + sixth * (v0 + 2.0 * (v1 + v2) + v3), v0 + sixth * (a0 + 2.0 * (a1 + a2) + a3)};
+  }
+
+  T acceleration_at(const T* states, const Reached& at, const T& elapsed, const T& torque,
+                    const RowInput& row, double direction) const {
+    effects_detail::Instant<T> now = start_of(row, direction);
+    complete(now, at.position, at.velocity, at.position - states[0], elapsed, torque, states);
+    return acceleration_of(now);
+  }
+
+  /// As integrator::crossing_time().
+  double crossing_time(const T* states, const T& torque, const RowInput& row, double direction, double length,
+                       double end_velocity) const {
+    double low = 0.0;
+    double high = length;
+    double time = states[1] == 0.0 ? 0.5 * length : length * states[1] / (states[1] - end_velocity);
+    for (int iteration = 0; iteration < 40; ++iteration) {
+      const Reached reached = runge_kutta(states, torque, row, direction, time);
+      (direction * reached.velocity >= 0.0 ? low : high) = time;
+      const double slope = acceleration_at(states, reached, time, torque, row, direction);
+      double next = time - reached.velocity / slope;
+      if (!(next > low && next < high)) {
+        if (next == low || next == high) return next;
+        next = 0.5 * (low + high);
+      }
+      if (std::abs(next - time) <= 1e-12 * length) return next;
+      time = next;
+    }
+    return time;
+  }
+
+ private:
+  static const effects_detail::Equations<T>& equations(const EffectValues& values) { return *values.effect; }
+
+  template <class Act>
+  void each(const T* states, const Act& act) const {
+    const T* own = own_;
+    int at = 2;
+    for (const EffectValues& values : parameters_->effects) {
+      act(equations(values), effects_detail::Own<T>{own, states + at}, at);
+      own += values.values.size();
+      at += values.effect->info().states;
+    }
+  }
+
+  effects_detail::Instant<T> start_of(const RowInput& row, double direction) const {
+    effects_detail::Instant<T> now;
+    now.time_s = row.time_s;
+    now.run = row.run;
+    now.direction = direction;
+    return now;
+  }
+
+  /// Everything about an instant from where the brake is.
+  void complete(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
+                const T& elapsed, const T& torque, const T* states) const {
+    now.elapsed_s = elapsed;
+    now.travel = travel;
+    now.position = position;
+    now.velocity = velocity;
+    now.pad_position = position;
+    each(states, [&](const auto& effect, const auto& own, int) { effect.on_pad(now, own); });
+    if (now.pad_position > 0.0)
+      now.elastic_N = now.pad_position * now.pad_position * (theta_[k1] * now.pad_position + theta_[k2]);
+    else
+      now.elastic_N = T(0.0);
+    now.force_N = now.elastic_N;
+    each(states, [&](const auto& effect, const auto& own, int) { effect.on_force(now, own); });
+    now.coulomb_Nm = theta_[TC];
+    now.static_Nm = theta_[Ts0] + theta_[mus] * now.force_N;
+    now.viscous_Nm_s_rad = theta_[Tv];
+    now.grip = T(now.direction);
+    now.opposing_Nm = T(0.0);
+    each(states, [&](const auto& effect, const auto& own, int) { effect.on_friction(now, own); });
+    now.torque_Nm = torque;
+    now.ratio_m_rad = T(fixed_.ratio_m_rad);
+    now.inertia_kg_m2 = T(fixed_.inertia_kg_m2);
+    each(states, [&](const auto& effect, const auto& own, int) { effect.on_balance(now, own); });
+  }
+
+  T net_torque(const effects_detail::Instant<T>& now) const {
+    const T speed = now.velocity / theta_[ws];
+    const T level = now.coulomb_Nm + (now.static_Nm - now.coulomb_Nm) / (1.0 + speed * speed);
+    return now.torque_Nm - now.ratio_m_rad * now.force_N - now.viscous_Nm_s_rad * now.velocity -
+           now.grip * level - now.opposing_Nm;
+  }
+  T acceleration_of(const effects_detail::Instant<T>& now) const {
+    return net_torque(now) / now.inertia_kg_m2;
+  }
+
+  T force_at(const T* states, const RowInput& row) const {
+    effects_detail::Instant<T> now = start_of(row, effects_detail::value_of(states[1]) < 0.0 ? -1.0 : 1.0);
+    complete(now, states[0], states[1], T(0.0), T(0.0), T(0.0), states);
+    return now.force_N;
+  }
+
+  /// At rest: the direction in which the brake breaks away, or 0 if friction holds it.
+  double breakaway(const T* states, const T& torque, const RowInput& row) const {
+    for (const double direction : {1.0, -1.0}) {
+      effects_detail::Instant<T> now = start_of(row, direction);
+      complete(now, states[0], T(0.0), T(0.0), T(0.0), torque, states);
+      if (direction * effects_detail::value_of(net_torque(now)) > 0.0) return direction;
+    }
+    return 0.0;
+  }
+
+  void finish(T* states, const Reached& reached, const T& elapsed, const T& torque, const RowInput& row,
+              double direction) const {
+    effects_detail::Instant<T> end = start_of(row, direction);
+    complete(end, reached.position, reached.velocity, reached.position - states[0], elapsed, torque, states);
+    T next[ExtendedBrake::kMostStates];
+    std::copy(states, states + ExtendedBrake::kMostStates, next);
+    each(states,
+         [&](const auto& effect, const auto& own, int at) { effect.on_remember(end, own, next + at); });
+    std::copy(next + 2, next + ExtendedBrake::kMostStates, states + 2);
+    states[0] = reached.position;
+    states[1] = reached.velocity;
+  }
+
+  void step(T* states, const T& torque, const RowInput& row, double length,
+            const ExtendedEquations<double>& values) const {
+    T left = T(length);
+    for (int crossing = 0; crossing < kMaximumCrossings; ++crossing) {
+      const double velocity = effects_detail::value_of(states[1]);
+      const double direction =
+          velocity != 0.0 ? std::copysign(1.0, velocity) : breakaway(states, torque, row);
+      if (direction == 0.0) {
+        // An infinitesimal velocity dies within an infinitesimal time.
+        finish(states, {states[0], T(0.0)}, left, torque, row, 1.0);
+        return;
+      }
+      const Reached reached = runge_kutta(states, torque, row, direction, left);
+      const double end_velocity = effects_detail::value_of(reached.velocity);
+      if (!(direction * end_velocity < 0.0)) {
+        finish(states, reached, left, torque, row, direction);
+        return;
+      }
+      double plain[ExtendedBrake::kMostStates];
+      for (int i = 0; i < ExtendedBrake::kMostStates; ++i) plain[i] = effects_detail::value_of(states[i]);
+      T time(values.crossing_time(plain, effects_detail::value_of(torque), row, direction,
+                                  effects_detail::value_of(left), end_velocity));
+      if constexpr (!std::is_same_v<T, double>) {
+        // The implicit function theorem on the located instant: one step of Newton's in these numbers.
+        const Reached there = runge_kutta(states, torque, row, direction, time);
+        const double slope =
+            effects_detail::value_of(acceleration_at(states, there, time, torque, row, direction));
+        if (slope != 0.0) time -= (there.velocity - effects_detail::value_of(there.velocity)) / slope;
+      }
+      Reached stop = runge_kutta(states, torque, row, direction, time);
+      stop.velocity = T(0.0);
+      finish(states, stop, time, torque, row, direction);
+      left -= time;
+      if (!(left > 0.0)) return;
+    }
+  }
+
+  const ExtendedParameters* parameters_;
+  FixedParameters fixed_;
+  T theta_[kParameterCount];
+  T own_[kMostOwn];
+  int substeps_;
+};
+
+}  // namespace clampd

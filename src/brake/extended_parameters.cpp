@@ -1,0 +1,99 @@
+#include <cmath>
+
+#include <fmt/format.h>
+#include <toml++/toml.h>
+
+#include "clampd/brake/extended_brake.hpp"
+#include "clampd/record/file.hpp"
+
+namespace clampd {
+
+namespace {
+
+std::string at(const std::string& path, const toml::node& node) {
+  return fmt::format("{}:{}", path, node.source().begin.line);
+}
+
+Result<EffectValues> read_effect(const std::string& path, const toml::table& table) {
+  const auto name = table["name"].value<std::string>();
+  if (!name) return failure(fmt::format("{}: an [[effect]] needs a name", at(path, table)));
+  const Effect* effect = find_effect(*name);
+  if (effect == nullptr) {
+    std::string known;
+    for (const Effect* other : effects()) known += fmt::format(" {}", info_of(*other).name);
+    return failure(fmt::format("{}: there is no effect \"{}\"; known are{}", at(path, table), *name, known));
+  }
+  const EffectInfo& info = info_of(*effect);
+  for (const auto& [key, node] : table) {
+    const bool known = key.str() == "name" || std::any_of(info.parameters.begin(), info.parameters.end(),
+                                                          [&](const auto& p) { return p.name == key.str(); });
+    if (!known)
+      return failure(fmt::format("{}: effect {} has no parameter \"{}\"", at(path, node), *name, key.str()));
+  }
+  EffectValues values{effect, {}};
+  for (const EffectParameter& parameter : info.parameters) {
+    const toml::node* node = table.get(parameter.name);
+    if (node == nullptr)
+      return failure(fmt::format("{}: effect {} lacks its parameter {} ({})", at(path, table), *name,
+                                 parameter.name, parameter.description));
+    const auto value = node->value<double>();
+    if (!value || !(*value >= parameter.lower && *value <= parameter.upper))
+      return failure(fmt::format("{}: {} of effect {} must be a number within {} ... {} {}", at(path, *node),
+                                 parameter.name, *name, parameter.lower, parameter.upper, parameter.unit));
+    values.values.push_back(*value);
+  }
+  return values;
+}
+
+}  // namespace
+
+Result<ExtendedParameters> read_extended_parameters(const std::string& path) {
+  const auto text = read_file(path);
+  if (!text) return tl::unexpected(text.error());
+  return parse_extended_parameters(*text, path);
+}
+
+Result<ExtendedParameters> parse_extended_parameters(std::string_view text, const std::string& path) {
+  const auto base = parse_brake_parameters(text, path);
+  if (!base) return tl::unexpected(base.error());
+  ExtendedParameters parameters{*base, {}};
+  const toml::table document = toml::parse(text, path);  // valid, or the base had said so
+  const toml::node* node = document.get("effect");
+  if (node == nullptr) return parameters;
+  const toml::array* tables = node->as_array();
+  if (tables == nullptr)
+    return failure(fmt::format("{}: write each effect as a table [[effect]]", at(path, *node)));
+  int states = 2;
+  int count = static_cast<int>(kParameterCount);
+  for (const toml::node& entry : *tables) {
+    if (!entry.is_table())
+      return failure(fmt::format("{}: write each effect as a table [[effect]]", at(path, entry)));
+    const auto effect = read_effect(path, *entry.as_table());
+    if (!effect) return tl::unexpected(effect.error());
+    states += info_of(*effect->effect).states;
+    count += static_cast<int>(effect->values.size());
+    if (states > ExtendedBrake::kMostStates || count > ExtendedBrake::kMostParameters)
+      return failure(fmt::format("{}: too many effects in one model", at(path, entry)));
+    parameters.effects.push_back(*effect);
+  }
+  return parameters;
+}
+
+std::string format_extended_parameters(const ExtendedParameters& parameters) {
+  std::string text = "[parameters]\n";
+  for (std::size_t i = 0; i < kParameterCount; ++i)
+    text += fmt::format("{} = {:.17g}  # {}\n", kParameterTable[i].name,
+                        parameters.base.theta[static_cast<Eigen::Index>(i)], kParameterTable[i].unit);
+  text += fmt::format("\n[fixed]\ninertia_kg_m2 = {:.17g}\nratio_m_rad = {:.17g}\n",
+                      parameters.base.fixed.inertia_kg_m2, parameters.base.fixed.ratio_m_rad);
+  for (const EffectValues& values : parameters.effects) {
+    const EffectInfo& info = info_of(*values.effect);
+    text += fmt::format("\n[[effect]]\nname = \"{}\"\n", info.name);
+    for (std::size_t i = 0; i < info.parameters.size(); ++i)
+      text += fmt::format("{} = {:.17g}  # {}, {}\n", info.parameters[i].name, values.values[i],
+                          info.parameters[i].unit, info.parameters[i].description);
+  }
+  return text;
+}
+
+}  // namespace clampd

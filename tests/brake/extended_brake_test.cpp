@@ -1,0 +1,196 @@
+#include "clampd/brake/extended_brake.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "clampd/brake/dynamics.hpp"
+#include "clampd/brake/integrator.hpp"
+#include "support/temporary_directory.hpp"
+
+namespace clampd {
+namespace {
+
+constexpr double kStep_s = 1e-3;
+
+/// Approach, clamp, a reversal under load, a hold, release.
+double torque_at(double time_s) {
+  if (time_s < 0.08) return 1.2;
+  if (time_s < 0.16) return 0.9 + 0.5 * std::sin(60.0 * time_s);
+  if (time_s < 0.22) return -0.4;
+  if (time_s < 0.28) return 0.2;
+  return -0.9;
+}
+
+RowInput row_at(int k) {
+  return {torque_at(k * kStep_s), torque_at((k + 1) * kStep_s), k * kStep_s, kStep_s, 3.0};
+}
+
+/// Values at which an effect shows, of each of its parameters.
+EffectValues visible(const Effect& effect) {
+  EffectValues values{&effect, {}};
+  for (const EffectParameter& parameter : info_of(effect).parameters) {
+    if (parameter.role == EffectParameter::Role::Strength)
+      values.values.push_back(parameter.neutral + 2.0 * parameter.scale);
+    else if (!parameter.starts.empty())
+      values.values.push_back(parameter.starts.front());
+    else
+      values.values.push_back(std::min(8000.0, 0.5 * parameter.upper));
+  }
+  return values;
+}
+
+std::string name_of(const ::testing::TestParamInfo<const Effect*>& info) {
+  std::string name(info_of(*info.param).name);
+  std::replace(name.begin(), name.end(), '-', '_');
+  return name;
+}
+
+TEST(ExtendedBrake, IsTheBaseModelWithoutEffects) {
+  const BrakeParameters nominal;
+  const ExtendedBrake extended({nominal, {}});
+  const PaperBrake base = paper_brake(nominal);
+  BrakeState state(-4.0, 0.0);
+  ExtendedBrake::State other = extended.settled(-4.0, 0.0, row_at(0));
+  for (int k = 0; k < 360; ++k) {
+    const Reading reading = extended.read(other, row_at(k));
+    EXPECT_NEAR(reading.force_N, base.read(state).force_N, 1e-6);
+    EXPECT_NEAR(reading.velocity_rad_s, state[1], 1e-8);
+    state = advance(base, state, torque_at(k * kStep_s), kStep_s);
+    other = extended.advance(other, row_at(k));
+  }
+  EXPECT_GT(base.read(state).force_N, 0.0);
+}
+
+class EveryEffect : public ::testing::TestWithParam<const Effect*> {};
+INSTANTIATE_TEST_SUITE_P(Catalogue, EveryEffect, ::testing::ValuesIn(effects().begin(), effects().end()),
+                         name_of);
+
+TEST_P(EveryEffect, RecoversTheBaseModelAtItsNeutralValue) {
+  const EffectInfo& info = info_of(*GetParam());
+  EffectValues neutral = visible(*GetParam());
+  bool has_strength = info.free_states > 0;
+  for (std::size_t i = 0; i < info.parameters.size(); ++i) {
+    if (info.parameters[i].role != EffectParameter::Role::Strength) continue;
+    has_strength = true;
+    neutral.values[i] = info.parameters[i].neutral;
+  }
+  if (!has_strength) GTEST_SKIP() << "has no strength: its neutral value is a limit";
+  const BrakeParameters nominal;
+  const ExtendedBrake base({nominal, {}});
+  const ExtendedBrake extended({nominal, {neutral}});
+  ExtendedBrake::State state = base.settled(-4.0, 0.0, row_at(0));
+  ExtendedBrake::State other = extended.settled(-4.0, 0.0, row_at(0));
+  for (int k = 0; k < 360; ++k) {
+    const Reading expected = base.read(state, row_at(k));
+    const Reading reading = extended.read(other, row_at(k));
+    ASSERT_NEAR(reading.force_N, expected.force_N, 1e-6) << k;
+    ASSERT_NEAR(reading.velocity_rad_s, expected.velocity_rad_s, 1e-8) << k;
+    state = base.advance(state, row_at(k));
+    other = extended.advance(other, row_at(k));
+  }
+}
+
+TEST_P(EveryEffect, HasExactDerivativesThroughStickAndSlip) {
+  const EffectValues values = visible(*GetParam());
+  const ExtendedParameters at{BrakeParameters{}, {values}};
+  const ExtendedBrake brake(at);
+  const int n = brake.states();
+  const int p = brake.parameters();
+  std::vector<double> jacobian(static_cast<std::size_t>(n * (n + p + 1)));
+  std::vector<double> reading_jacobian(static_cast<std::size_t>(2 * (n + p)));
+  ExtendedBrake::State state = brake.settled(-4.0, 0.0, row_at(0));
+  for (const int free : brake.free_states()) state[free] = 20.0;
+  int compared = 0;
+  int wrong = 0;
+  for (int k = 0; k < 360; ++k) {
+    const RowInput row = row_at(k);
+    const ExtendedBrake::State next = brake.advance(state, row, jacobian.data());
+    ASSERT_LT((next - brake.advance(state, row)).cwiseAbs().maxCoeff(), 1e-9);
+    brake.read(state, row, reading_jacobian.data());
+    if (k % 3 == 0) {
+      for (int j = 0; j < n + p + 1; ++j) {
+        const auto moved = [&](double by, bool reading) {
+          ExtendedParameters parameters = at;
+          ExtendedBrake::State start = state;
+          RowInput input = row;
+          double change = by;
+          if (j < n) {
+            change *= std::max(1.0, std::abs(state[j]));
+            start[j] += change;
+          } else if (j == n + p) {
+            input.torque_Nm += change;
+          } else {
+            const ExtendedBrake::Place place = brake.places()[static_cast<std::size_t>(j - n)];
+            double& value = place.effect < 0
+                                ? parameters.base.theta[place.parameter]
+                                : parameters.effects[0].values[static_cast<std::size_t>(place.parameter)];
+            change *= std::max(1e-6, std::abs(value));
+            value += change;
+          }
+          const ExtendedBrake other(parameters);
+          Eigen::VectorXd result(n + 3);
+          const Reading read = other.read(start, input);
+          result << other.advance(start, input), (reading ? read.force_N : 0.0),
+              (reading ? read.velocity_rad_s : 0.0), change;
+          return result;
+        };
+        const Eigen::VectorXd here = moved(0.0, true);
+        const Eigen::VectorXd up = moved(1e-6, true);
+        const Eigen::VectorXd down = moved(-1e-6, true);
+        const double width = up[n + 2] - down[n + 2];
+        for (int i = 0; i < n + 2; ++i) {
+          if (i >= n && j == n + p) continue;
+          const double exact = i < n ? jacobian[static_cast<std::size_t>(i * (n + p + 1) + j)]
+                                     : reading_jacobian[static_cast<std::size_t>((i - n) * (n + p) + j)];
+          const auto agrees = [&](double slope, double over) {
+            return std::abs(exact - slope) < 2e-4 * std::max(1.0, std::abs(slope)) +
+                                                 1e-9 * std::max(1.0, std::abs(here[i])) / std::abs(over);
+          };
+          ++compared;
+          // At a kink, such as a play that is just closed, the derivative is that of one side.
+          if (!agrees((up[i] - down[i]) / width, width) &&
+              !agrees((up[i] - here[i]) / up[n + 2], up[n + 2]) &&
+              !agrees((down[i] - here[i]) / down[n + 2], down[n + 2]))
+            ++wrong;
+        }
+      }
+    }
+    state = next;
+  }
+  EXPECT_GT(compared, 1000);
+  EXPECT_LT(wrong, compared / 200);
+}
+
+TEST(ExtendedParameters, SurviveAFile) {
+  ExtendedParameters parameters;
+  parameters.base.theta[TC] *= 1.1;
+  parameters.effects.push_back(visible(*find_effect("cogging")));
+  parameters.effects.push_back(visible(*find_effect("backlash")));
+  const auto read = parse_extended_parameters(format_extended_parameters(parameters), "model.toml");
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_EQ(read->base.theta, parameters.base.theta);
+  ASSERT_EQ(read->effects.size(), 2u);
+  for (std::size_t i = 0; i < 2; ++i) {
+    EXPECT_EQ(read->effects[i].effect, parameters.effects[i].effect);
+    EXPECT_EQ(read->effects[i].values, parameters.effects[i].values);
+  }
+}
+
+TEST(ExtendedParameters, ErrorsNameTheLineAndWhatIsKnown) {
+  const auto unknown =
+      parse_extended_parameters("[parameters]\nTC = 0.08\n[[effect]]\nname = \"magic\"\n", "m.toml");
+  ASSERT_FALSE(unknown);
+  EXPECT_NE(unknown.error().message.find("m.toml:3"), std::string::npos);
+  EXPECT_NE(unknown.error().message.find("backlash"), std::string::npos);
+  const auto lacking = parse_extended_parameters("[[effect]]\nname = \"backlash\"\n", "m.toml");
+  ASSERT_FALSE(lacking);
+  EXPECT_NE(lacking.error().message.find("play"), std::string::npos);
+  const auto outside = parse_extended_parameters("[[effect]]\nname = \"backlash\"\nplay = 99.0\n", "m.toml");
+  ASSERT_FALSE(outside);
+  EXPECT_NE(outside.error().message.find("m.toml:3"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace clampd
