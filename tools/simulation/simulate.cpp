@@ -48,6 +48,7 @@ SimulatedCheck simulate_check(const sim::PlantConfiguration& plant, const Refere
   rt::CheckSequence sequence;
   sequence.start(&plan);
   sim::SimulatedBrake brake(plant);
+  brake.begin_run(options.first_run);
 
   SimulatedCheck check;
   SimulatedRun run;
@@ -64,7 +65,7 @@ SimulatedCheck simulate_check(const sim::PlantConfiguration& plant, const Refere
     if (run.readings.size() == reference.rows.size()) {
       run.readings.name = fmt::format("repeat {}", output.repeat + 1);
       check.runs.push_back(std::exchange(run, {}));
-      brake.begin_run(output.repeat + 1u);
+      brake.begin_run(options.first_run + output.repeat + 1u);
     }
     check.fault = k < limit ? output.fault : FaultCause::SequenceTimeout;
     if (check.fault != FaultCause::None) break;

@@ -1,0 +1,12 @@
+#pragma once
+
+#include "tests/support/blind/blind_set.hpp"
+
+namespace clampd::blind {
+
+/// What the best fit of the base model to the noise-free readings leaves unexplained, in nats: half the
+/// squared innovations of the filter that knows the true noise, torque's included, each weighted with its
+/// inverse covariance S(k)^-1. NaN if nothing could be fitted.
+double detectability_nats(const BlindSet& set);
+
+}  // namespace clampd::blind
