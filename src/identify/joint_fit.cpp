@@ -17,22 +17,6 @@ namespace {
 /// Stands for the cost where the model cannot be simulated, so that the solver steps back.
 constexpr double kImpossible = 1e30;
 
-/// Decrease of the weighted squares, per unknown, at which a fit ends: a last step of a twentieth of a
-/// standard deviation each. The cost has faint kinks, where a stop crosses a sample, that make a finer search
-/// bounce.
-constexpr double kToleranceEach = 2.5e-3;
-
-/// From this expected decrease per unknown on a step that fails to bring it is an end too: a kink.
-constexpr double kNearTheEndEach = 0.035;
-
-/// Iterations in one go, far from the end; near it one at a time, to look whether anything is left to gain.
-constexpr int kRoundIterations = 8;
-
-/// Gauss-Newton steps to leap beyond a kink.
-constexpr double kFirstLeap = 1.0;
-constexpr double kLastLeap = 4.0;
-constexpr int kLeapIterations = 6;
-
 /// Huber's bend, in standard deviations, and the mean of the weighted square of a standard normal with it.
 constexpr double kHuberBend = 2.5;
 constexpr double kHuberSquare = 0.9876;
@@ -339,57 +323,6 @@ std::vector<Eigen::Vector2d> JointFit::prior_distances() const {
   for (std::size_t r = 0; r < runs_.size(); ++r)
     distances.push_back(initial_of(now_.unknowns, r) - guesses_[r]);
   return distances;
-}
-
-Descent Minimiser::descend(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations) {
-  const double tolerance = kToleranceEach * fit.NumParameters();
-  Descent descent;
-  descent.possible = fit.evaluate(unknowns);
-  bool stalled = false;
-  while (descent.possible && descent.iterations < max_iterations) {
-    const double expected = fit.expected_decrease();
-    descent.at_kink = stalled && expected >= tolerance;
-    descent.settled = expected < tolerance || (stalled && expected < kNearTheEndEach * fit.NumParameters());
-    if (descent.settled) break;
-    const double before = fit.squares();
-    // One step, and only if that fails the solver's own search for a shorter one.
-    const int steps = std::min(stalled ? kRoundIterations : 1, max_iterations - descent.iterations);
-    solver_.options.max_num_iterations = 1 + steps;
-    solver_.Solve(fit, &unknowns);
-    descent.iterations += std::clamp(solver_.summary.iterations, 1, steps);
-    descent.possible = fit.evaluate(unknowns);
-    const bool stuck = stalled;
-    stalled = !(before - fit.squares() > 0.1 * std::min(expected, 1.0));
-    if (stuck && stalled) {
-      descent.settled = descent.at_kink = true;
-      break;
-    }
-  }
-  return descent;
-}
-
-Descent Minimiser::operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations) {
-  solver_.options.function_tolerance = kToleranceEach * fit.NumParameters();
-  solver_.options.parameter_tolerance = 1e-9;
-  Descent descent = descend(fit, unknowns, max_iterations);
-  if (kinks_ == Kinks::Accept) return descent;
-  // A kink can be a minimum of its own with a lower one close behind it: look there.
-  for (double leap = kFirstLeap; descent.at_kink && leap <= kLastLeap; leap *= 2.0) {
-    const double reached = fit.squares();
-    fit.gauss_newton_step(beyond_);
-    beyond_ = unknowns + leap * beyond_;
-    const Descent other = descend(fit, beyond_, kLeapIterations);
-    descent.iterations += other.iterations;
-    if (other.possible && fit.squares() < reached - kToleranceEach * fit.NumParameters()) {
-      unknowns = beyond_;
-      descent.at_kink = other.at_kink;
-      leap = 0.5 * kFirstLeap;
-    } else {
-      fit.evaluate(unknowns);
-    }
-    if (descent.iterations >= max_iterations) break;
-  }
-  return descent;
 }
 
 }  // namespace clampd::identify

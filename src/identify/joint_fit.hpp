@@ -3,11 +3,11 @@
 #include <span>
 #include <vector>
 
-#include <ceres/tiny_solver.h>
 #include <Eigen/Core>
 
 #include "clampd/identify/estimate.hpp"
 #include "src/identify/joint_normal.hpp"
+#include "src/identify/minimiser.hpp"
 
 namespace clampd::identify {
 
@@ -119,26 +119,6 @@ class JointFit {
 
 bool within_bounds(const ParameterVector& theta);
 
-struct Descent {
-  bool possible = false;  ///< the fit can be evaluated at the unknowns reached
-  bool settled = false;   ///< nothing more to gain
-  bool at_kink = false;   ///< though the slopes there promise more
-  int iterations = 0;
-};
-
-/// Minimises the fit from `unknowns` by ceres::TinySolver.
-class Minimiser {
- public:
-  enum class Kinks { Accept, LookBeyond };
-  Minimiser(const JointFit& fit, Kinks kinks) : kinks_(kinks), beyond_(fit.NumParameters()) {}
-  Descent operator()(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations);
-
- private:
-  Descent descend(JointFit& fit, Eigen::VectorXd& unknowns, int max_iterations);
-
-  Kinks kinks_;
-  Eigen::VectorXd beyond_;
-  ceres::TinySolver<JointFit> solver_;
-};
+using Minimiser = MinimiserOf<JointFit>;
 
 }  // namespace clampd::identify

@@ -1,0 +1,111 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "clampd/brake/extended_brake.hpp"
+#include "clampd/identify/information.hpp"
+#include "clampd/record/run.hpp"
+
+namespace clampd {
+
+/// Runs as they enter a fit: moved by the delays of a model, and with readings that do not count marked.
+struct FitRun {
+  double number = 0.0;  ///< of the run, from 0, in chronological order
+  std::vector<double> time_s, torque_Nm, force_N, velocity_rad_s;
+  std::vector<std::uint8_t> use_force, use_velocity;
+
+  std::size_t size() const { return time_s.size(); }
+};
+
+/// Number 0, 1, ... in the order given, every reading counting.
+std::vector<FitRun> fit_runs(std::span<const Run> runs);
+
+/// A channel that is recorded d samples late is moved back by d; the readings at the end that it then lacks
+/// do not count.
+void move_by(const EffectDelays& delays, std::vector<FitRun>& runs);
+
+/// Readings that `delays` cannot use (of the first rows, seen from the data as recorded), marked as not
+/// counting: so that models with and without the delays are judged by the same readings.
+void drop_unusable(const EffectDelays& delays, std::vector<FitRun>& runs);
+
+/// What an extended model makes of runs. Numbers of a failed fit are NaN.
+struct ExtendedEstimate {
+  bool possible = false;  ///< the filter stays bounded
+  bool settled = false;   ///< nothing more to gain when it ended
+  int iterations = 0;
+  ExtendedParameters parameters;
+  /// Of ExtendedBrake's parameters, SI; NaN rows and columns for what the data do not determine.
+  Eigen::MatrixXd covariance;
+  /// Per run: position (rad), velocity (rad/s), then the free states.
+  std::vector<Eigen::VectorXd> initial_states;
+  NoiseLevels noise;
+  double log_likelihood = 0.0;
+  double readings = 0.0;  ///< that counted
+};
+
+struct ExtendedFitOptions {
+  int max_iterations = 40;
+  bool estimate_noise = true;
+  std::array<bool, kParameterCount> held{};
+};
+
+/// The prediction error method (Procedure 3, on innovations) for a model with any effects: maximum likelihood
+/// of parameters, initial states and noise by an extended Kalman filter over all of the model's states, the
+/// torque's noise its only process noise. Starts at `start`, its noise included; its initial states are also
+/// the centres of their weak prior. Choices stay as they are.
+ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstimate& start,
+                              const ExtendedFitOptions& options = {});
+
+/// A first estimate of the base model, by identify_prediction_error(). Not possible if that fails.
+ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start);
+
+/// The same estimate with an effect more, at these values, or with one less.
+ExtendedEstimate with_effect(const ExtendedEstimate& estimate, const EffectValues& effect);
+ExtendedEstimate without_effect(const ExtendedEstimate& estimate, std::size_t index);
+
+/// Log-likelihood at an estimate and what a Gauss-Newton step from there would make of it; the step itself,
+/// of the parameters of ExtendedBrake, SI. Infinite and empty if the filter diverges.
+struct StepForecast {
+  double log_likelihood;
+  double after_step;
+  Eigen::VectorXd step;
+};
+StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate);
+
+/// Runs filtered at an estimate. Innovations over their standard deviations: 1 and white if the model is
+/// right.
+struct FilteredRun {
+  std::vector<double> force, velocity;  ///< innovation / standard deviation; NaN where it does not count
+  std::vector<double> predicted_force_N, predicted_velocity_rad_s;  ///< one step ahead
+  std::vector<double> position_rad, true_velocity_rad_s,
+      true_force_N;                                                 ///< of the model at the row, predicted
+  std::vector<double> disturbance_Nm;                               ///< smoothed torque error of the row
+  std::vector<double> simulated_force_N, simulated_velocity_rad_s;  ///< with the smoothed torque errors
+  double log_likelihood = 0.0;
+};
+std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate);
+
+/// A disturbance that a free function would add: to the torque balance (N m), to the pads' force (N), to the
+/// readings; one value a row and column.
+struct SignalColumns {
+  enum class Kind { Torque, Force, ForceReading, VelocityReading };
+  Kind kind = Kind::Torque;
+  std::vector<Eigen::MatrixXd> rows;  ///< per run: rows x columns
+};
+
+/// Score of each column at an estimate, the parameters and initial states following: with coefficients c the
+/// log-likelihood grows by score . c - 1/2 c . information c.
+struct SignalScores {
+  Eigen::VectorXd score;
+  Eigen::MatrixXd information;
+};
+/// `blocks`: information is computed within blocks of so many neighbouring columns only (0: everywhere).
+SignalScores score_signals(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                           const SignalColumns& signals, int blocks = 0);
+
+}  // namespace clampd

@@ -1,0 +1,634 @@
+#include "clampd/identify/extended_fit.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+
+#include "clampd/base/assert.hpp"
+#include "clampd/identify/prediction_error.hpp"
+#include "src/identify/extended_run.hpp"
+#include "src/identify/minimiser.hpp"
+#include "src/identify/starting_point.hpp"
+
+namespace clampd {
+
+namespace identify {
+
+namespace {
+
+/// Stands for the cost where the model cannot be simulated, so that the solver steps back.
+constexpr double kImpossible = 1e30;
+
+/// Gains and noise are renewed until the noise's standard deviations change by less than this share.
+constexpr double kNoiseTolerance = 0.01;
+constexpr int kMostRounds = 12;
+constexpr int kNoiseIterations = 6;
+
+/// Free states of an effect start near zero, on their own scale: hardly a prior.
+constexpr double kFreeStatePrior = 1e5;
+
+/// Below this much torque noise (N m) nothing changes any more.
+constexpr double kSmallestTorque_Nm = 2e-5;
+
+double prior_deviation(int local) {
+  return local == 0 ? kInitialPositionPrior_rad : local == 1 ? kInitialVelocityPrior_rad_s : kFreeStatePrior;
+}
+
+/// The innovations of all runs as a function of the unknowns, for ceres::TinySolver, with gains that stay as
+/// they are; as JointFit, but for any model. Unknowns: parameters, then each run's locals.
+class ExtendedFit {
+ public:
+  using Scalar = double;
+  enum { NUM_RESIDUALS = Eigen::Dynamic, NUM_PARAMETERS = Eigen::Dynamic };
+
+  ExtendedFit(std::span<const FitRun> runs, const ExtendedEstimate& start,
+              const std::array<bool, kParameterCount>& held)
+      : runs_(runs),
+        model_(start.parameters),
+        shape_(start.parameters),
+        unknowns_(model_, shape_.places(), held) {
+    parameters_ = unknowns_.count();
+    locals_ = 2 + static_cast<int>(shape_.free_states().size());
+    centres_ = start.initial_states;
+    CLAMPD_ASSERT(centres_.size() == runs.size());
+    for (Evaluation* evaluation : {&now_, &before_}) {
+      evaluation->runs.resize(runs.size());
+      for (std::size_t r = 0; r < runs.size(); ++r)
+        evaluation->runs[r].resize(runs[r].size(), shape_.states(), parameters_, locals_);
+      evaluation->normals.resize(runs.size());
+    }
+    invalidate();
+    for (Eigen::VectorXd& centre : centres_) {
+      const auto known = centre.size();
+      centre.conservativeResize(locals_);
+      for (Eigen::Index i = known; i < locals_; ++i) centre[i] = 0.0;
+    }
+  }
+
+  int NumParameters() const { return parameters_ + locals_ * static_cast<int>(runs_.size()); }
+  int NumResiduals() const { return (parameters_ + locals_ + 1) * static_cast<int>(runs_.size()); }
+
+  Eigen::VectorXd start() const {
+    Eigen::VectorXd point(NumParameters());
+    for (int i = 0; i < parameters_; ++i) point[i] = unknowns_.from(model_, i);
+    for (std::size_t r = 0; r < runs_.size(); ++r) point.segment(local(r), locals_) = centres_[r];
+    return point;
+  }
+
+  ExtendedParameters model_at(const Eigen::VectorXd& point) const {
+    ExtendedParameters model = model_;
+    for (int i = 0; i < parameters_; ++i) unknowns_.put(point[i], i, model);
+    return model;
+  }
+  std::vector<Eigen::VectorXd> initial_at(const Eigen::VectorXd& point) const {
+    std::vector<Eigen::VectorXd> initial;
+    for (std::size_t r = 0; r < runs_.size(); ++r) initial.emplace_back(point.segment(local(r), locals_));
+    return initial;
+  }
+
+  /// The gains of extended Kalman filters at this point from here on; it is evaluated then.
+  bool renew(const Eigen::VectorXd& point, const Variances& variances) {
+    invalidate();
+    if (!linearise_at(point, variances, Gains::Renewed)) return false;
+    for (std::size_t r = 0; r < runs_.size(); ++r) {
+      before_.runs[r].gain = now_.runs[r].gain;
+      before_.runs[r].variance = now_.runs[r].variance;
+    }
+    return true;
+  }
+
+  bool evaluate(const Eigen::VectorXd& point) const {
+    if (now_.point.size() == point.size() && point == now_.point) return now_.possible;
+    std::swap(now_, before_);
+    if (now_.point.size() == point.size() && point == now_.point) return now_.possible;
+    return linearise_at(point, {}, Gains::Kept);
+  }
+
+  bool operator()(const double* unknowns, double* residuals, double* jacobian) const {
+    Eigen::Map<Eigen::VectorXd> residual_rows(residuals, NumResiduals());
+    const Eigen::Map<const Eigen::VectorXd> point(unknowns, NumParameters());
+    if (!evaluate(point)) {
+      residual_rows.setConstant(std::sqrt(kImpossible / NumResiduals()));
+      if (jacobian != nullptr)
+        Eigen::Map<Eigen::MatrixXd>(jacobian, NumResiduals(), NumParameters()).setZero();
+      return true;
+    }
+    residual_rows.setZero();
+    if (jacobian == nullptr) {
+      residual_rows[0] = std::sqrt(squares());
+      return true;
+    }
+    Eigen::Map<Eigen::MatrixXd> jacobian_rows(jacobian, NumResiduals(), NumParameters());
+    jacobian_rows.setZero();
+    const int size = parameters_ + locals_ + 1;
+    for (std::size_t r = 0; r < runs_.size(); ++r) {
+      const Eigen::MatrixXd factor = semidefinite_factor(now_.normals[r]);
+      const auto first = static_cast<Eigen::Index>(r) * size;
+      jacobian_rows.block(first, 0, size, parameters_) = factor.leftCols(parameters_);
+      jacobian_rows.block(first, local(r), size, locals_) = factor.middleCols(parameters_, locals_);
+      residual_rows.segment(first, size) = factor.col(size - 1);
+    }
+    return true;
+  }
+
+  double squares() const {
+    double sum = 0.0;
+    for (const Eigen::MatrixXd& normal : now_.normals) sum += normal(normal.rows() - 1, normal.cols() - 1);
+    return sum;
+  }
+  double log_likelihood() const {
+    double sum = squares();
+    for (const ExtendedRun& run : now_.runs)
+      sum += run.log_determinant + run.readings * std::log(2.0 * std::numbers::pi);
+    return -0.5 * sum;
+  }
+  double readings() const {
+    double sum = 0.0;
+    for (const ExtendedRun& run : now_.runs) sum += run.readings;
+    return sum;
+  }
+
+  /// All runs' initial states eliminated: information, gradient and what is left of the squares.
+  struct Joint {
+    Eigen::MatrixXd information;
+    Eigen::VectorXd gradient;
+    double squares = 0.0;
+  };
+  Joint joint() const {
+    Joint joint{Eigen::MatrixXd::Zero(parameters_, parameters_), Eigen::VectorXd::Zero(parameters_)};
+    for (const Eigen::MatrixXd& normal : now_.normals) {
+      const int data = parameters_ + locals_;
+      const auto local_block = normal.block(parameters_, parameters_, locals_, locals_);
+      const Eigen::LDLT<Eigen::MatrixXd> factor(local_block);
+      const Eigen::MatrixXd cross = normal.block(parameters_, 0, locals_, parameters_);
+      const Eigen::VectorXd right = normal.block(parameters_, data, locals_, 1);
+      const Eigen::MatrixXd solved = factor.solve(cross);
+      joint.information += normal.topLeftCorner(parameters_, parameters_) - cross.transpose() * solved;
+      joint.gradient += normal.block(0, data, parameters_, 1) - solved.transpose() * right;
+      joint.squares += normal(data, data) - right.dot(factor.solve(right));
+    }
+    return joint;
+  }
+
+  double expected_decrease() const {
+    const Joint all = joint();
+    return squares() - all.squares + all.gradient.dot(solve(all.information, all.gradient));
+  }
+
+  void gauss_newton_step(Eigen::VectorXd& step) const {
+    const Joint all = joint();
+    Eigen::VectorXd move = -solve(all.information, all.gradient);
+    step.resize(NumParameters());
+    for (int i = 0; i < parameters_; ++i)
+      step[i] = unknowns_.is_logarithmic(i) ? std::clamp(move[i], -0.7, 0.7) : move[i];
+    for (std::size_t r = 0; r < runs_.size(); ++r) {
+      const Eigen::MatrixXd& normal = now_.normals[r];
+      step.segment(local(r), locals_) =
+          -normal.block(parameters_, parameters_, locals_, locals_)
+               .ldlt()
+               .solve(normal.block(parameters_, parameters_ + locals_, locals_, 1) +
+                      normal.block(parameters_, 0, locals_, parameters_) * move);
+    }
+  }
+
+  /// Maximum likelihood of the noise for the rows as they are; leaves the gains to be renewed.
+  Variances estimate_noise(Variances variances, int iterations) {
+    std::vector<double> innovation;
+    for (int i = 0; i < iterations; ++i) {
+      NoiseSquares sum;
+      for (std::size_t r = 0; r < runs_.size(); ++r) {
+        regain(runs_[r], variances, now_.runs[r], innovation);
+        const NoiseSquares part = smooth(runs_[r], now_.runs[r], innovation, nullptr);
+        sum.force += part.force;
+        sum.force_expected += part.force_expected;
+        sum.velocity += part.velocity;
+        sum.velocity_expected += part.velocity_expected;
+        sum.torque += part.torque;
+        sum.torque_expected += part.torque_expected;
+      }
+      const auto renewed = [](double variance, double square, double expected, double smallest,
+                              double power) {
+        if (!(expected > 0.0)) return variance;
+        const double ratio = std::clamp(square / expected, 0.05, 20.0);
+        return std::max(smallest * smallest, variance * std::pow(ratio, power));
+      };
+      const Variances before = variances;
+      variances.force = renewed(variances.force, sum.force, sum.force_expected, kSmallestNoise.force_N, 1.0);
+      variances.velocity = renewed(variances.velocity, sum.velocity, sum.velocity_expected,
+                                   kSmallestNoise.velocity_rad_s, 1.0);
+      // The torque's noise shows through the readings' only: this rule's steps are then too small.
+      variances.torque = renewed(variances.torque, sum.torque, sum.torque_expected, kSmallestTorque_Nm, 1.6);
+      if (change_between(before, variances) < 0.5 * kNoiseTolerance) break;
+    }
+    invalidate();
+    return variances;
+  }
+
+  static double change_between(const Variances& a, const Variances& b) {
+    constexpr double kNegligible = 1e-7;
+    return 0.5 * std::max({std::abs(b.force / a.force - 1.0), std::abs(b.velocity / a.velocity - 1.0),
+                           std::abs(b.torque - a.torque) / (std::max(a.torque, b.torque) + kNegligible)});
+  }
+
+  std::span<const ExtendedRun> linear_runs() const { return now_.runs; }
+  std::vector<ExtendedRun>& mutable_runs() { return now_.runs; }
+  const Unknowns& unknowns() const { return unknowns_; }
+  int parameters() const { return parameters_; }
+  int all_parameters() const { return shape_.parameters(); }
+
+ private:
+  struct Evaluation {
+    std::vector<ExtendedRun> runs;
+    std::vector<Eigen::MatrixXd> normals;  ///< with the priors of the initial states
+    Eigen::VectorXd point;
+    bool possible = false;
+  };
+
+  Eigen::Index local(std::size_t run) const { return parameters_ + locals_ * static_cast<Eigen::Index>(run); }
+
+  void invalidate() {
+    for (Evaluation* evaluation : {&now_, &before_}) {
+      evaluation->point.resize(0);
+      evaluation->possible = false;
+    }
+  }
+
+  bool linearise_at(const Eigen::VectorXd& point, const Variances& variances, Gains gains) const {
+    now_.point = point;
+    now_.possible = false;
+    if (!point.allFinite()) return false;
+    const ExtendedParameters model = model_at(point);
+    if (!within_bounds(model)) return false;
+    const ExtendedBrake brake(model);
+    for (std::size_t r = 0; r < runs_.size(); ++r) {
+      const Eigen::VectorXd initial = point.segment(local(r), locals_);
+      if (!linearise(runs_[r], brake, model, unknowns_, initial, variances, gains, now_.runs[r]))
+        return false;
+      compute_normal(runs_[r], now_.runs[r]);
+      Eigen::MatrixXd& normal = now_.normals[r] = now_.runs[r].normal;
+      if (!normal.allFinite()) return false;
+      const int data = parameters_ + locals_;
+      for (int i = 0; i < locals_; ++i) {
+        const double deviation = prior_deviation(i);
+        const double weight = 1.0 / (deviation * deviation);
+        const double distance = initial[i] - centres_[r][i];
+        normal(parameters_ + i, parameters_ + i) += weight;
+        normal(parameters_ + i, data) += weight * distance;
+        normal(data, parameters_ + i) += weight * distance;
+        normal(data, data) += weight * distance * distance;
+      }
+    }
+    now_.possible = true;
+    return true;
+  }
+
+  /// Directions that the data do not show at all are left alone.
+  static Eigen::VectorXd solve(const Eigen::MatrixXd& information, const Eigen::VectorXd& gradient) {
+    Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
+    Eigen::MatrixXd scaled = information.cwiseQuotient(scale * scale.transpose());
+    scaled.diagonal().array() += 1e-10;
+    return scaled.ldlt().solve(gradient.cwiseQuotient(scale)).cwiseQuotient(scale);
+  }
+
+  static Eigen::MatrixXd semidefinite_factor(const Eigen::MatrixXd& matrix) {
+    const Eigen::Index size = matrix.rows();
+    Eigen::MatrixXd factor = Eigen::MatrixXd::Zero(size, size);
+    for (Eigen::Index i = 0; i < size; ++i) {
+      const double pivot = matrix(i, i) - factor.col(i).head(i).squaredNorm();
+      if (!(pivot > 1e-14 * matrix(i, i))) continue;
+      const double root = std::sqrt(pivot);
+      for (Eigen::Index j = i; j < size; ++j)
+        factor(i, j) = (matrix(i, j) - factor.col(i).head(i).dot(factor.col(j).head(i))) / root;
+    }
+    return factor;
+  }
+
+  std::span<const FitRun> runs_;
+  ExtendedParameters model_;
+  ExtendedBrake shape_;
+  Unknowns unknowns_;
+  std::vector<Eigen::VectorXd> centres_;
+  int parameters_ = 0;
+  int locals_ = 2;
+  mutable Evaluation now_, before_;
+};
+
+NoiseLevels levels_of(const Variances& variances) {
+  return {{std::sqrt(variances.force), std::sqrt(variances.velocity)}, std::sqrt(variances.torque)};
+}
+
+Eigen::MatrixXd covariance_of(const ExtendedFit& fit, const ExtendedParameters& model) {
+  const ExtendedFit::Joint joint = fit.joint();
+  const Eigen::VectorXd scale = joint.information.diagonal().cwiseMax(1e-300).cwiseSqrt();
+  const Eigen::MatrixXd scaled = joint.information.cwiseQuotient(scale * scale.transpose());
+  const int all = fit.all_parameters();
+  Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(all, all);
+  const Eigen::LDLT<Eigen::MatrixXd> factor(scaled);
+  const bool determined = factor.info() == Eigen::Success && factor.vectorD().minCoeff() > 1e-10;
+  if (!determined) return Eigen::MatrixXd::Constant(all, all, std::numeric_limits<double>::quiet_NaN());
+  Eigen::MatrixXd inverse = factor.solve(Eigen::MatrixXd::Identity(scaled.rows(), scaled.cols()));
+  for (int i = 0; i < fit.parameters(); ++i)
+    for (int j = 0; j < fit.parameters(); ++j)
+      covariance(fit.unknowns().parameter(i), fit.unknowns().parameter(j)) =
+          inverse(i, j) / (scale[i] * scale[j]) * fit.unknowns().slope(model, i) *
+          fit.unknowns().slope(model, j);
+  return covariance;
+}
+
+}  // namespace
+
+}  // namespace identify
+
+using namespace identify;
+
+std::vector<FitRun> fit_runs(std::span<const Run> runs) {
+  std::vector<FitRun> prepared;
+  for (const Run& run : runs) {
+    CLAMPD_ASSERT(run.force_N.size() == run.size() && run.velocity_rad_s.size() == run.size());
+    const std::vector<std::uint8_t> all(run.size(), 1);
+    prepared.push_back({static_cast<double>(prepared.size()), run.time_s, run.torque_Nm, run.force_N,
+                        run.velocity_rad_s, all, all});
+  }
+  return prepared;
+}
+
+void move_by(const EffectDelays& delays, std::vector<FitRun>& runs) {
+  for (FitRun& run : runs) {
+    const auto size = static_cast<std::ptrdiff_t>(run.size());
+    const auto move = [&](std::vector<double>& channel, int by) {
+      const std::ptrdiff_t late = std::min<std::ptrdiff_t>(by, size - 1);
+      std::rotate(channel.begin(), channel.begin() + late, channel.end());
+      std::fill(channel.end() - late, channel.end(),
+                late < size ? channel[static_cast<std::size_t>(size - late - 1)] : 0.0);
+    };
+    const auto lose = [&](std::vector<std::uint8_t>& use, int by) {
+      const std::ptrdiff_t late = std::min<std::ptrdiff_t>(by, size);
+      std::rotate(use.begin(), use.begin() + late, use.end());
+      std::fill(use.end() - late, use.end(), std::uint8_t{0});
+    };
+    if (delays.force > 0) {
+      move(run.force_N, delays.force);
+      lose(run.use_force, delays.force);
+    }
+    if (delays.velocity > 0) {
+      move(run.velocity_rad_s, delays.velocity);
+      lose(run.use_velocity, delays.velocity);
+    }
+    if (delays.torque > 0) {
+      move(run.torque_Nm, delays.torque);
+      // The torque that acted at the end is not known; its readings are of no use.
+      std::fill(run.use_force.end() - std::min<std::ptrdiff_t>(delays.torque, size), run.use_force.end(),
+                std::uint8_t{0});
+      std::fill(run.use_velocity.end() - std::min<std::ptrdiff_t>(delays.torque, size),
+                run.use_velocity.end(), std::uint8_t{0});
+    }
+  }
+}
+
+void drop_unusable(const EffectDelays& delays, std::vector<FitRun>& runs) {
+  for (FitRun& run : runs) {
+    const auto first = [&](int count) {
+      return std::min<std::ptrdiff_t>(count, static_cast<std::ptrdiff_t>(run.size()));
+    };
+    std::fill_n(run.use_force.begin(), first(delays.force), std::uint8_t{0});
+    std::fill_n(run.use_velocity.begin(), first(delays.velocity), std::uint8_t{0});
+    std::fill(run.use_force.end() - first(delays.torque), run.use_force.end(), std::uint8_t{0});
+    std::fill(run.use_velocity.end() - first(delays.torque), run.use_velocity.end(), std::uint8_t{0});
+  }
+}
+
+ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstimate& start,
+                              const ExtendedFitOptions& options) {
+  ExtendedEstimate estimate = start;
+  estimate.possible = estimate.settled = false;
+  estimate.iterations = 0;
+  estimate.log_likelihood = -std::numeric_limits<double>::infinity();
+  if (!within_bounds(start.parameters)) return estimate;
+  ExtendedFit fit(runs, start, options.held);
+  MinimiserOf<ExtendedFit> minimise(fit, MinimiserOf<ExtendedFit>::Kinks::Accept);
+  Eigen::VectorXd point = fit.start();
+  Variances variances = variances_of(start.noise);
+  if (options.estimate_noise)
+    variances.torque = std::max(variances.torque, 4.0 * kSmallestTorque_Nm * kSmallestTorque_Nm);
+  double reached = -std::numeric_limits<double>::infinity();
+  Eigen::VectorXd best = point;
+  Variances best_variances = variances;
+  for (int round = 0; round < kMostRounds; ++round) {
+    if (!fit.renew(point, variances)) break;
+    const double likelihood = fit.log_likelihood();
+    if (likelihood > reached) {
+      const double gained = likelihood - reached;
+      reached = likelihood;
+      best = point;
+      best_variances = variances;
+      estimate.possible = true;
+      if (round > 1 && gained < 0.02 && estimate.settled) break;
+    } else if (round > 2) {
+      // Kinks of the filter can make gains and parameters answer each other for ever.
+      estimate.settled = true;
+      break;
+    }
+    if (estimate.iterations >= options.max_iterations) break;
+    const Descent descent = minimise(fit, point, options.max_iterations - estimate.iterations);
+    estimate.iterations += std::max(1, descent.iterations);
+    if (!descent.possible) break;
+    double change = 0.0;
+    if (options.estimate_noise) {
+      const Variances found = fit.estimate_noise(variances, kNoiseIterations);
+      change = ExtendedFit::change_between(variances, found);
+      variances = found;
+    }
+    estimate.settled = descent.settled && change < kNoiseTolerance;
+    if (estimate.settled && round > 0 && descent.iterations <= 1 && change < 0.1 * kNoiseTolerance) break;
+  }
+  if (!estimate.possible || !fit.renew(best, best_variances)) return estimate;
+  estimate.parameters = fit.model_at(best);
+  estimate.initial_states = fit.initial_at(best);
+  estimate.noise = levels_of(best_variances);
+  estimate.log_likelihood = fit.log_likelihood();
+  estimate.readings = fit.readings();
+  estimate.covariance = covariance_of(fit, estimate.parameters);
+  return estimate;
+}
+
+ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start) {
+  ExtendedEstimate estimate;
+  EstimatorOptions options;
+  options.start = start;
+  const Estimate first = identify_prediction_error(runs, options);
+  ExtendedEstimate warm;
+  warm.parameters.base = start;
+  if (first.parameters.theta.allFinite()) warm.parameters.base.theta = first.parameters.theta;
+  const SensorNoise seen = noise_without_model(runs);
+  warm.noise = {
+      {std::isfinite(first.noise_force_N) ? first.noise_force_N : seen.force_N,
+       std::isfinite(first.noise_velocity_rad_s) ? first.noise_velocity_rad_s : seen.velocity_rad_s},
+      std::isfinite(first.noise_torque_Nm) ? std::max(first.noise_torque_Nm, 1e-3) : 0.01};
+  for (std::size_t r = 0; r < runs.size(); ++r)
+    warm.initial_states.emplace_back(
+        first.initial_states.size() == runs.size() && first.initial_states[r].allFinite()
+            ? Eigen::VectorXd(first.initial_states[r])
+            : Eigen::VectorXd(initial_state_guess(runs[r], warm.parameters.base.theta)));
+  return fit_extended(fit_runs(runs), warm);
+}
+
+ExtendedEstimate with_effect(const ExtendedEstimate& estimate, const EffectValues& effect) {
+  ExtendedEstimate extended = estimate;
+  extended.parameters.effects.push_back(effect);
+  for (Eigen::VectorXd& initial : extended.initial_states) {
+    const Eigen::Index known = initial.size();
+    const int free = info_of(*effect.effect).free_states;
+    initial.conservativeResize(known + free);
+    initial.tail(free).setZero();
+  }
+  return extended;
+}
+
+ExtendedEstimate without_effect(const ExtendedEstimate& estimate, std::size_t index) {
+  ExtendedEstimate reduced = estimate;
+  CLAMPD_ASSERT(index < estimate.parameters.effects.size());
+  Eigen::Index first = 2;
+  for (std::size_t e = 0; e < index; ++e)
+    first += info_of(*estimate.parameters.effects[e].effect).free_states;
+  const int free = info_of(*estimate.parameters.effects[index].effect).free_states;
+  for (Eigen::VectorXd& initial : reduced.initial_states) {
+    const Eigen::Index after = initial.size() - first - free;
+    const Eigen::VectorXd tail = initial.tail(after);
+    initial.conservativeResize(first + after);
+    initial.tail(after) = tail;
+  }
+  reduced.parameters.effects.erase(reduced.parameters.effects.begin() + static_cast<std::ptrdiff_t>(index));
+  return reduced;
+}
+
+StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate) {
+  StepForecast result{-std::numeric_limits<double>::infinity(), -std::numeric_limits<double>::infinity(), {}};
+  if (!within_bounds(estimate.parameters)) return result;
+  ExtendedFit fit(runs, estimate, {});
+  const Eigen::VectorXd point = fit.start();
+  if (!fit.renew(point, variances_of(estimate.noise))) return result;
+  result.log_likelihood = fit.log_likelihood();
+  result.after_step = result.log_likelihood + 0.5 * fit.expected_decrease();
+  Eigen::VectorXd step;
+  fit.gauss_newton_step(step);
+  result.step.setZero(fit.all_parameters());
+  for (int i = 0; i < fit.parameters(); ++i)
+    result.step[fit.unknowns().parameter(i)] = step[i] * fit.unknowns().slope(estimate.parameters, i);
+  return result;
+}
+
+std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate) {
+  std::vector<FilteredRun> views;
+  ExtendedFit fit(runs, estimate, {});
+  const Variances variances = variances_of(estimate.noise);
+  if (!fit.renew(fit.start(), variances)) return views;
+  const ExtendedBrake brake(estimate.parameters);
+  std::vector<double> innovation;
+  for (std::size_t r = 0; r < runs.size(); ++r) {
+    ExtendedRun& linear = fit.mutable_runs()[r];
+    const FitRun& run = runs[r];
+    FilteredRun view;
+    const std::size_t size = run.size();
+    const auto n = static_cast<std::size_t>(linear.states);
+    const int data = linear.columns() - 1;
+    ExtendedBrake::State state(linear.states);
+    double squares = 0.0;
+    const auto row_at = [&](std::size_t k) {
+      const bool last = k + 1 == size;
+      return RowInput{run.torque_Nm[k], run.torque_Nm[last ? k : k + 1], run.time_s[k],
+                      last ? kLargestStep_s : run.time_s[k + 1] - run.time_s[k], run.number};
+    };
+    for (std::size_t k = 0; k < size; ++k) {
+      const auto at = static_cast<Eigen::Index>(2 * k);
+      const double force = linear.innovations(data, at);
+      const double velocity = linear.innovations(data, at + 1);
+      squares += force * force + velocity * velocity;
+      view.force.push_back(run.use_force[k] ? force : std::numeric_limits<double>::quiet_NaN());
+      view.velocity.push_back(run.use_velocity[k] ? velocity : std::numeric_limits<double>::quiet_NaN());
+      for (std::size_t i = 0; i < n; ++i) state[static_cast<Eigen::Index>(i)] = linear.reference[k * n + i];
+      view.predicted_force_N.push_back(run.force_N[k] - linear.residual[2 * k]);
+      view.predicted_velocity_rad_s.push_back(run.velocity_rad_s[k] - linear.residual[2 * k + 1]);
+      view.position_rad.push_back(state[0]);
+      view.true_velocity_rad_s.push_back(state[1]);
+      view.true_force_N.push_back(view.predicted_force_N.back());
+    }
+    view.log_likelihood =
+        -0.5 * (squares + linear.log_determinant + linear.readings * std::log(2.0 * std::numbers::pi));
+    regain(run, variances, linear, innovation);
+    smooth(run, linear, innovation, &view.disturbance_Nm);
+    for (double& value : view.disturbance_Nm) value *= variances.torque;
+    // Free of the filter's corrections: the model alone, driven by the torque as the smoother has it.
+    const Eigen::VectorXd& initial = estimate.initial_states[r];
+    state = brake.settled(initial[0], initial[1], row_at(0));
+    for (std::size_t f = 0; f < brake.free_states().size(); ++f)
+      state[brake.free_states()[f]] += initial[2 + static_cast<Eigen::Index>(f)];
+    for (std::size_t k = 0; k < size; ++k) {
+      RowInput row = row_at(k);
+      const bool bounded = ExtendedBrake::is_bounded(state);
+      const Reading reading = bounded ? brake.read(state, row) : Reading{NAN, NAN};
+      view.simulated_force_N.push_back(reading.force_N);
+      view.simulated_velocity_rad_s.push_back(reading.velocity_rad_s);
+      if (!bounded) continue;
+      row.torque_Nm += view.disturbance_Nm[k];
+      state = brake.advance(state, row);
+    }
+    views.push_back(std::move(view));
+  }
+  return views;
+}
+
+SignalScores score_signals(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                           const SignalColumns& signals, int blocks) {
+  ExtendedFit fit(runs, estimate, {});
+  const Eigen::Index columns = signals.rows.empty() ? 0 : signals.rows.front().cols();
+  SignalScores scores{Eigen::VectorXd::Zero(columns), Eigen::MatrixXd::Zero(columns, columns)};
+  if (!fit.renew(fit.start(), variances_of(estimate.noise))) return scores;
+  const int p = fit.parameters();
+  Eigen::MatrixXd with_parameters = Eigen::MatrixXd::Zero(p, columns);
+  for (std::size_t r = 0; r < runs.size(); ++r) {
+    const ExtendedRun& linear = fit.linear_runs()[r];
+    const Eigen::MatrixXd seen =
+        filter_signals(runs[r], linear, signals.kind, signals.rows[r], estimate.parameters);
+    const int l = linear.locals;
+    // Of parameters, locals and data with the signals; then the run's own initial state follows.
+    const Eigen::MatrixXd products = linear.innovations * seen.transpose();
+    Eigen::MatrixXd local_block = linear.normal.block(p, p, l, l);
+    for (int i = 0; i < l; ++i) local_block(i, i) += 1.0 / (prior_deviation(i) * prior_deviation(i));
+    const Eigen::LDLT<Eigen::MatrixXd> factor(local_block);
+    const Eigen::MatrixXd local_products = products.middleRows(p, l);
+    const Eigen::MatrixXd solved = factor.solve(local_products);
+    with_parameters += products.topRows(p) - linear.normal.block(0, p, p, l) * solved;
+    scores.score -=
+        products.row(p + l).transpose() - solved.transpose() * linear.normal.block(p, p + l, l, 1);
+    if (blocks == 0) {
+      scores.information += seen * seen.transpose() - local_products.transpose() * solved;
+    } else {
+      for (Eigen::Index first = 0; first + blocks <= columns; first += blocks)
+        scores.information.block(first, first, blocks, blocks) +=
+            seen.middleRows(first, blocks) * seen.middleRows(first, blocks).transpose() -
+            local_products.middleCols(first, blocks).transpose() * solved.middleCols(first, blocks);
+    }
+  }
+  const ExtendedFit::Joint joint = fit.joint();
+  const Eigen::VectorXd scale = joint.information.diagonal().cwiseMax(1e-300).cwiseSqrt();
+  Eigen::MatrixXd scaled = joint.information.cwiseQuotient(scale * scale.transpose());
+  scaled.diagonal().array() += 1e-10;
+  const Eigen::LDLT<Eigen::MatrixXd> factor(scaled);
+  const Eigen::MatrixXd whitened = scale.cwiseInverse().asDiagonal() * with_parameters;
+  const Eigen::MatrixXd solved = factor.solve(whitened);
+  scores.score += solved.transpose() * joint.gradient.cwiseQuotient(scale);
+  if (blocks == 0) {
+    scores.information -= whitened.transpose() * solved;
+  } else {
+    for (Eigen::Index first = 0; first + blocks <= columns; first += blocks)
+      scores.information.block(first, first, blocks, blocks) -=
+          whitened.middleCols(first, blocks).transpose() * solved.middleCols(first, blocks);
+  }
+  return scores;
+}
+
+}  // namespace clampd
