@@ -109,6 +109,15 @@ class LayerWriter {
                    "using 1:2:3 with filledcurves fs transparent solid 0.25 noborder lc rgb '{}' {}",
                    rgb(band.colour), title_of(band.label));
   }
+  void operator()(const Bars& bars) {
+    std::vector<double> below(bars.y), above(bars.y);
+    for (double& y : below) y -= 0.5 * bars.thickness;
+    for (double& y : above) y += 0.5 * bars.thickness;
+    block({&bars.from, &bars.y, &bars.from, &bars.to, &below, &above});
+    fmt::format_to(std::back_inserter(plot_),
+                   "using 1:2:3:4:5:6 with boxxyerror fs solid 0.85 noborder lc rgb '{}' {}",
+                   rgb(bars.colour), title_of(bars.label));
+  }
 
  private:
   void block(const std::vector<const std::vector<double>*>& columns) {
@@ -136,6 +145,22 @@ void write_axis(std::string& script, char name, const Axis& axis) {
     fmt::format_to(std::back_inserter(script), "set {}range [{}:{}]\n", name, axis.lower, axis.upper);
   else
     fmt::format_to(std::back_inserter(script), "set {}range [*:*]\n", name);
+  if (axis.ticks.empty()) {
+    fmt::format_to(std::back_inserter(script), "set {}tics autofreq\n", name);
+    return;
+  }
+  fmt::format_to(std::back_inserter(script), "set {}tics (", name);
+  for (const Tick& tick : axis.ticks)
+    fmt::format_to(std::back_inserter(script), "{}{} {:.7g}", &tick == &axis.ticks.front() ? "" : ", ",
+                   quoted(tick.label), tick.at);
+  script += ")\n";
+}
+
+/// Characters to the left of a panel; its y axis' numbers need 10.
+int left_margin(const Panel& panel) {
+  std::size_t longest = 7;
+  for (const Tick& tick : panel.y.ticks) longest = std::max(longest, tick.label.size());
+  return static_cast<int>(longest) + 3;
 }
 
 int rows_of(const Figure& figure) {
@@ -154,7 +179,7 @@ std::string script_of(const Figure& figure) {
       "set tics nomirror textcolor rgb '#222222'\n"
       "set grid lc rgb '#dddddd' lw 0.7 dt solid\n"
       "set key tmargin center horizontal Left reverse samplen 2.5 noautotitle\n"
-      "set lmargin 10\nset rmargin 2\n"
+      "set rmargin 2\n"
       "set multiplot layout {},{}\n",
       figure.width_px, rows * figure.panel_height_px, kFontSize_px, rows, figure.columns);
   int blocks = 0;
@@ -163,6 +188,7 @@ std::string script_of(const Figure& figure) {
     fmt::format_to(std::back_inserter(commands), "set title {}\n", quoted(panel.title));
     write_axis(commands, 'x', panel.x);
     write_axis(commands, 'y', panel.y);
+    fmt::format_to(std::back_inserter(commands), "set lmargin {}\n", left_margin(panel));
     std::string plot;
     for (const auto& layer : panel.layers) std::visit(LayerWriter(data, plot, blocks), layer);
     commands += plot + "\n";

@@ -43,11 +43,27 @@ struct Band {
   Colour colour = Colour::Blue;
 };
 
+/// Horizontal bars, one at each y.
+struct Bars {
+  std::string label = {};
+  std::vector<double> y = {};
+  std::vector<double> from = {};
+  std::vector<double> to = {};
+  Colour colour = Colour::Blue;
+  double thickness = 0.7;  ///< in units of y
+};
+
+struct Tick {
+  double at = 0.0;
+  std::string label = {};
+};
+
 struct Axis {
   std::string label = {};  ///< with its unit
   bool logarithmic = false;
   double lower = 0.0;  ///< both equal: as the data need
   double upper = 0.0;
+  std::vector<Tick> ticks = {};  ///< empty: numbers where they are convenient
 };
 
 /// One pair of axes. The layers are drawn in their order.
@@ -55,7 +71,7 @@ struct Panel {
   std::string title = {};
   Axis x = {};
   Axis y = {};
-  std::vector<std::variant<Curve, Points, Band>> layers = {};
+  std::vector<std::variant<Curve, Points, Band, Bars>> layers = {};
 };
 
 /// Panels in rows of `columns`.

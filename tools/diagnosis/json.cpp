@@ -1,0 +1,155 @@
+#include "tools/diagnosis/json.hpp"
+
+#include <cmath>
+
+#include <nlohmann/json.hpp>
+
+#include "tools/diagnosis/words.hpp"
+
+namespace clampd {
+namespace {
+
+using nlohmann::ordered_json;
+
+ordered_json number_or_null(double value) {
+  return std::isfinite(value) ? ordered_json(value) : ordered_json(nullptr);
+}
+
+template <class Items, class ToJson>
+ordered_json list_of(const Items& items, const ToJson& to_json) {
+  ordered_json list = ordered_json::array();
+  for (const auto& item : items) list.push_back(to_json(item));
+  return list;
+}
+
+ordered_json numbers(const std::vector<double>& values) {
+  return list_of(values, number_or_null);
+}
+
+ordered_json parameters_json(const std::vector<EstimatedParameter>& parameters) {
+  return list_of(parameters, [](const EstimatedParameter& parameter) -> ordered_json {
+    return {{"name", parameter.name},
+            {"unit", parameter.unit},
+            {"value", number_or_null(parameter.value)},
+            {"sd", number_or_null(parameter.sd)}};
+  });
+}
+
+ordered_json effect_json(const NamedEffect& effect) {
+  return {{"name", effect.name},
+          {"location", to_string(effect.location)},
+          {"cause", words::cause(effect.name)},
+          {"parameters", parameters_json(effect.parameters)},
+          {"evidence",
+           {{"log_likelihood_gain", number_or_null(effect.log_likelihood_gain)},
+            {"p_value", number_or_null(effect.p_value)}}}};
+}
+
+ordered_json tests_json(const std::vector<MisfitTest>& tests) {
+  return list_of(tests, [](const MisfitTest& test) -> ordered_json {
+    return {{"name", test.name},
+            {"statistic", number_or_null(test.statistic)},
+            {"p_value", number_or_null(test.p_value)},
+            {"words", test.words}};
+  });
+}
+
+ordered_json misfit_json(const Misfit& misfit) {
+  const auto dependence_json = [](const Dependence& dependence) -> ordered_json {
+    return {{"variable", dependence.variable},
+            {"location", to_string(dependence.location)},
+            {"gain", number_or_null(dependence.gain)},
+            {"p_value", number_or_null(dependence.p_value)}};
+  };
+  return {{"location", misfit.location ? ordered_json(to_string(*misfit.location)) : ordered_json(nullptr)},
+          {"depends_on", words::depends_on(misfit)},
+          {"dependences", list_of(misfit.dependences, dependence_json)},
+          {"tests_before", tests_json(misfit.tests_before)},
+          {"tests_after", tests_json(misfit.tests_after)}};
+}
+
+ordered_json ladder_json(const std::vector<Rung>& ladder) {
+  return list_of(ladder, [](const Rung& rung) -> ordered_json {
+    return {{"stage", rung.stage},
+            {"name", rung.name},
+            {"location", to_string(rung.location)},
+            {"predicted_gain", number_or_null(rung.predicted_gain)},
+            {"gain", number_or_null(rung.gain)},
+            {"parameter_count", rung.parameters},
+            {"evidence", number_or_null(rung.evidence)},
+            {"parameters", parameters_json(rung.values)},
+            {"chosen", rung.chosen},
+            {"rival", rung.rival}};
+  });
+}
+
+ordered_json noise_json(const NoiseLevels& noise) {
+  return {{"force_N", number_or_null(noise.sensors.force_N)},
+          {"velocity_rad_s", number_or_null(noise.sensors.velocity_rad_s)},
+          {"torque_Nm", number_or_null(noise.torque_Nm)}};
+}
+
+ordered_json next_json(const std::optional<NextExperiment>& next) {
+  if (!next) return nullptr;
+  const Run& run = next->trajectory;
+  return {{"manoeuvre", next->manoeuvre},
+          {"why", next->why},
+          {"expected_evidence_nats", number_or_null(next->expected_evidence_nats)},
+          {"duration_s", run.time_s.empty() ? 0.0 : run.time_s.back() - run.time_s.front()},
+          {"rows", run.size()},
+          {"time_s", numbers(run.time_s)},
+          {"torque_Nm", numbers(run.torque_Nm)},
+          {"velocity_rad_s", numbers(run.velocity_rad_s)},
+          {"force_N", numbers(run.force_N)}};
+}
+
+/// Null everywhere without held-out runs, so that a reader finds the same keys in every document.
+ordered_json gain_json(const std::optional<HeldOutGain>& gain) {
+  const bool known = gain && !gain->runs.empty();
+  const auto figure = [&](double GainFigures::*of) -> ordered_json {
+    return {{"before", known ? number_or_null(gain->before.*of) : ordered_json(nullptr)},
+            {"after", known ? number_or_null(gain->after.*of) : ordered_json(nullptr)}};
+  };
+  return {{"heldout_rms_force_N", figure(&GainFigures::rms_force_N)},
+          {"heldout_rms_velocity_rad_s", figure(&GainFigures::rms_velocity_rad_s)},
+          {"heldout_log_likelihood_per_sample", figure(&GainFigures::log_likelihood_per_sample)},
+          {"heldout_simulated_rms_force_N", figure(&GainFigures::simulated_rms_force_N)},
+          {"heldout_simulated_rms_velocity_rad_s", figure(&GainFigures::simulated_rms_velocity_rad_s)},
+          {"heldout_rms_torque_Nm", figure(&GainFigures::rms_torque_Nm)},
+          {"heldout_torque_error_relative", figure(&GainFigures::torque_error_relative)},
+          {"heldout_whiteness_p_value", figure(&GainFigures::whiteness_p_value)},
+          {"heldout_misfit", figure(&GainFigures::misfit)},
+          {"heldout_runs", known ? gain->runs.size() : 0},
+          {"heldout_names", known ? gain->runs : std::vector<std::string>{}}};
+}
+
+}  // namespace
+
+ordered_json diagnosis_json(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
+  return {{"schema", "clampd.diagnosis/1"},
+          {"verdict", to_string(diagnosis.verdict)},
+          {"summary", diagnosis.summary},
+          {"runs", subject.runs},
+          {"units", {{"position", subject.position_unit}, {"torque", subject.torque_unit}}},
+          {"effects", list_of(diagnosis.effects, effect_json)},
+          {"rivals", diagnosis.rivals},
+          {"unseen", list_of(diagnosis.unseen, [](const UnseenEffect& effect) { return effect.name; })},
+          {"unseen_reasons", list_of(diagnosis.unseen,
+                                     [](const UnseenEffect& effect) -> ordered_json {
+                                       return {{"name", effect.name}, {"reason", effect.reason}};
+                                     })},
+          {"misfit", misfit_json(diagnosis.misfit)},
+          {"next_experiment", next_json(diagnosis.next_experiment)},
+          {"gain", gain_json(diagnosis.gain)},
+          {"parameters_before", parameters_json(diagnosis.parameters_before)},
+          {"parameters_after", parameters_json(diagnosis.parameters_after)},
+          {"noise", subject.drive ? ordered_json(nullptr)
+                                  : ordered_json{{"before", noise_json(diagnosis.noise_before)},
+                                                 {"after", noise_json(diagnosis.noise_after)}}},
+          {"ladder", ladder_json(diagnosis.ladder)},
+          {"alarm_evidence", number_or_null(diagnosis.alarm_evidence)},
+          {"notices", diagnosis.notices},
+          {"wall_s", diagnosis.wall_s}};
+}
+
+}  // namespace clampd
