@@ -36,22 +36,22 @@ std::string reading_of(Channel channel) {
 // Strengths are log-uniform over ranges that leave from about ten to some thousand nats in a full set.
 
 HiddenEffect torque_offset(Draw& d) {
-  const double value = d.sign() * d.log_uniform(0.0015, 0.03);
+  const double value = d.sign() * d.log_uniform(0.00035, 0.007);
   return effect("constant", {{"offset_Nm", value}}, {"torque-reading", "torque-balance"},
                 [=](Physics& p) { p.torque_offset_Nm = value; });
 }
 HiddenEffect torque_gain(Draw& d) {
-  const double value = d.sign() * d.log_uniform(0.006, 0.1);
+  const double value = d.sign() * d.log_uniform(0.0007, 0.014);
   return effect("constant", {{"gain", value}}, {"torque-reading"},
                 [=](Physics& p) { p.torque_gain = value; });
 }
 HiddenEffect torque_lag(Draw& d) {
-  const double value = d.log_uniform(0.15e-3, 5e-3);
+  const double value = d.log_uniform(0.03e-3, 0.6e-3);
   return effect("first order", {{"time_constant_s", value}}, {"torque-reading", "torque-balance", "timing"},
                 [=](Physics& p) { p.torque_lag_s = value; });
 }
 HiddenEffect coulomb_load(Draw& d) {
-  const double value = d.log_uniform(0.004, 0.12);
+  const double value = d.log_uniform(0.0018, 0.04);
   const double exponent = d.chance(0.6) ? 1.0 : d.uniform(0.8, 1.25);
   return effect(exponent == 1.0 ? "linear" : "power", {{"at_10kN_Nm", value}, {"exponent", exponent}},
                 {"torque-balance"}, [=](Physics& p) {
@@ -60,7 +60,7 @@ HiddenEffect coulomb_load(Draw& d) {
                 });
 }
 HiddenEffect friction_asymmetry(Draw& d) {
-  const double value = d.sign() * d.log_uniform(0.0015, 0.025);
+  const double value = d.sign() * d.log_uniform(0.0003, 0.006);
   const int form = d.integer(0, 2);
   const double viscous = form == 2 ? std::copysign(d.uniform(0.05, 0.3), value) : 0.0;
   const bool at_rest = form != 1;
@@ -96,17 +96,17 @@ HiddenEffect cogging(Draw& d) {
                 });
 }
 HiddenEffect inertia_error(Draw& d) {
-  const double value = d.sign() * d.log_uniform(0.008, 0.15);
+  const double value = d.sign() * d.log_uniform(0.0007, 0.014);
   return effect("constant", {{"relative", value}}, {"torque-balance"},
                 [=](Physics& p) { p.inertia_error = value; });
 }
 HiddenEffect ratio_error(Draw& d) {
-  const double value = d.sign() * d.log_uniform(0.005, 0.1);
+  const double value = d.sign() * d.log_uniform(0.0013, 0.026);
   return effect("constant", {{"relative", value}}, {"torque-balance"},
                 [=](Physics& p) { p.ratio_error = value; });
 }
 HiddenEffect presliding(Draw& d) {
-  const double travel = d.log_uniform(0.02, 0.8);
+  const double travel = d.log_uniform(0.0005, 0.08);
   const auto law = static_cast<Bristles>(d.integer(0, 2));
   const double damping = d.uniform(0.1, 0.8);
   static constexpr std::array kForms = {"Dahl", "LuGre", "elasto-plastic"};
@@ -118,7 +118,7 @@ HiddenEffect presliding(Draw& d) {
                 });
 }
 HiddenEffect friction_drift(Draw& d) {
-  const double value = d.sign() * d.log_uniform(0.004, 0.05);
+  const double value = d.sign() * d.log_uniform(0.0015, 0.03);
   const double runs = d.chance(0.5) ? d.uniform(2.0, 10.0) : 0.0;
   return effect(runs > 0.0 ? "warm-up" : "linear", {{"per_run", value}, {"warm_up_runs", runs}},
                 {"torque-balance"}, [=](Physics& p) {
@@ -127,7 +127,7 @@ HiddenEffect friction_drift(Draw& d) {
                 });
 }
 HiddenEffect stiffness_hysteresis(Draw& d) {
-  const double share = d.log_uniform(0.004, 0.08);
+  const double share = d.log_uniform(0.0013, 0.027);
   const auto law = static_cast<Loop>(d.integer(0, 2));
   const double travel = law == Loop::SignLike ? d.log_uniform(0.05, 0.5) : d.log_uniform(0.1, 2.0);
   static constexpr std::array kForms = {"sign-like", "exponential", "Bouc-Wen"};
@@ -139,7 +139,7 @@ HiddenEffect stiffness_hysteresis(Draw& d) {
                 });
 }
 HiddenEffect pad_damping(Draw& d) {
-  const double value = d.log_uniform(0.3, 15.0);
+  const double value = d.log_uniform(0.06, 1.3);
   const bool grows = d.chance(0.3);
   return effect(grows ? "in proportion to the force" : "linear", {{"damping_N_s", value}}, {"stiffness"},
                 [=](Physics& p) {
@@ -148,7 +148,7 @@ HiddenEffect pad_damping(Draw& d) {
                 });
 }
 HiddenEffect pad_relaxation(Draw& d) {
-  const double share = d.log_uniform(0.004, 0.1);
+  const double share = d.log_uniform(0.0016, 0.035);
   const double time_s = d.log_uniform(0.03, 1.0);
   return effect("one time constant", {{"share", share}, {"time_constant_s", time_s}}, {"stiffness"},
                 [=](Physics& p) {
@@ -157,32 +157,34 @@ HiddenEffect pad_relaxation(Draw& d) {
                 });
 }
 HiddenEffect backlash(Draw& d) {
-  const double value = d.log_uniform(0.03, 0.8);
+  const double value = d.log_uniform(0.012, 0.25);
   return effect("lost motion", {{"gap_rad", value}}, {"stiffness"},
                 [=](Physics& p) { p.backlash_rad = value; });
 }
 HiddenEffect stiffness_shape(Draw& d) {
   static constexpr std::array kPowers = {1, 4, 5};
-  const int power = kPowers[static_cast<std::size_t>(d.integer(0, 2))];
-  // A quartic or quintic is mostly taken over by the two terms that are there.
-  const double value = d.sign() * (power == 1 ? d.log_uniform(150.0, 3000.0) : d.log_uniform(600.0, 8000.0));
+  static constexpr std::array kFrom_N = {700.0, 600.0, 250.0};
+  const auto form = static_cast<std::size_t>(d.integer(0, 2));
+  const int power = kPowers[form];
+  // The two terms that are there take over most of any.
+  const double value = d.sign() * d.log_uniform(kFrom_N[form], 10.0 * kFrom_N[form]);
   return effect(fmt::format("x^{}", power), {{"at_30rad_N", value}}, {"stiffness"}, [=](Physics& p) {
     p.shape_N = value;
     p.shape_power = power;
   });
 }
 HiddenEffect force_offset(Draw& d) {
-  const double value = d.sign() * d.log_uniform(6.0, 250.0);
+  const double value = d.sign() * d.log_uniform(3.0, 60.0);
   return effect("constant", {{"offset_N", value}}, {"force-reading"},
                 [=](Physics& p) { p.force_offset_N = value; });
 }
 HiddenEffect force_lag(Draw& d) {
-  const double value = d.log_uniform(0.1e-3, 4e-3);
+  const double value = d.log_uniform(0.06e-3, 1.3e-3);
   return effect("first order", {{"time_constant_s", value}}, {"force-reading", "timing"},
                 [=](Physics& p) { p.force_lag_s = value; });
 }
 HiddenEffect force_saturation(Draw& d) {
-  const double value = d.uniform(12e3, 23e3);
+  const double value = 23.2e3 * (1.0 - d.log_uniform(0.003, 0.4));
   const bool before = d.chance(0.5);
   return effect(before ? "before the noise" : "behind the noise", {{"level_N", value}}, {"force-reading"},
                 [=](Physics& p) {
@@ -200,13 +202,13 @@ HiddenEffect force_hum(Draw& d) {
                 });
 }
 HiddenEffect velocity_lag(Draw& d) {
-  const double value = d.log_uniform(0.1e-3, 4e-3);
+  const double value = d.log_uniform(0.04e-3, 0.8e-3);
   return effect("first order", {{"time_constant_s", value}}, {"velocity-reading", "timing"},
                 [=](Physics& p) { p.velocity_lag_s = value; });
 }
 HiddenEffect channel_skew(Draw& d) {
   const auto channel = static_cast<Channel>(d.integer(0, 2));
-  const double samples = d.log_uniform(0.5, 5.0);
+  const double samples = d.log_uniform(0.03, 5.0);
   return effect(fmt::format("{} late", name_of(channel)), {{"samples", samples}},
                 {"timing", reading_of(channel)}, [=](Physics& p) {
                   p.skewed = channel;
@@ -215,8 +217,8 @@ HiddenEffect channel_skew(Draw& d) {
 }
 HiddenEffect outliers(Draw& d) {
   const Channel channel = d.chance(0.5) ? Channel::Force : Channel::Velocity;
-  const double share = d.log_uniform(0.001, 0.03);
-  const double height = channel == Channel::Force ? d.log_uniform(400.0, 5000.0) : d.log_uniform(6.0, 80.0);
+  const double share = d.log_uniform(2e-4, 0.01);
+  const double height = channel == Channel::Force ? d.log_uniform(300.0, 3000.0) : d.log_uniform(5.0, 50.0);
   const double spread = d.chance(0.5) ? 0.0 : 0.4;
   const int sign = d.integer(-1, 1);
   return effect(fmt::format("{}, {}", name_of(channel), sign == 0 ? "both signs" : "one sign"),
@@ -231,8 +233,8 @@ HiddenEffect outliers(Draw& d) {
 }
 
 HiddenEffect second_resonance(Draw& d) {
-  const double share = d.log_uniform(0.03, 0.4);
-  const double frequency = d.log_uniform(45.0, 300.0);
+  const double share = d.log_uniform(0.03, 0.5);
+  const double frequency = d.log_uniform(40.0, 200.0);
   const double damping = d.uniform(0.02, 0.15);
   return effect("two masses", {{"inertia_share", share}, {"frequency_Hz", frequency}, {"damping", damping}},
                 {"torque-balance", "stiffness"}, [=](Physics& p) {
@@ -243,7 +245,7 @@ HiddenEffect second_resonance(Draw& d) {
 }
 HiddenEffect torque_saturation(Draw& d) {
   const bool soft = d.chance(0.5);
-  const double limit = soft ? d.log_uniform(1.5, 6.0) : d.uniform(0.7, 2.0);
+  const double limit = soft ? d.log_uniform(4.0, 25.0) : d.uniform(1.6, 2.5);
   return effect(soft ? "soft" : "hard", {{"limit_Nm", limit}}, {"torque-reading", "torque-balance"},
                 [=](Physics& p) {
                   p.torque_limit_Nm = limit;
@@ -251,13 +253,13 @@ HiddenEffect torque_saturation(Draw& d) {
                 });
 }
 HiddenEffect sampling_jitter(Draw& d) {
-  const double sd = d.log_uniform(0.03e-3, 0.3e-3);
+  const double sd = d.log_uniform(0.02e-3, 0.4e-3);
   return effect("all sensors", {{"sd_s", sd}}, {"timing", "force-reading", "velocity-reading"},
                 [=](Physics& p) { p.jitter_s = sd; });
 }
 HiddenEffect quantisation(Draw& d) {
   const Channel channel = d.chance(0.5) ? Channel::Force : Channel::Velocity;
-  const double quantum = channel == Channel::Force ? d.log_uniform(100.0, 1000.0) : d.log_uniform(1.5, 15.0);
+  const double quantum = channel == Channel::Force ? d.log_uniform(40.0, 400.0) : d.log_uniform(0.5, 6.0);
   return effect(std::string(name_of(channel)), {{"quantum", quantum}}, {reading_of(channel)},
                 [=](Physics& p) {
                   p.quantised = channel;
@@ -265,7 +267,7 @@ HiddenEffect quantisation(Draw& d) {
                 });
 }
 HiddenEffect root_friction(Draw& d) {
-  const double value = d.sign() * d.log_uniform(0.01, 0.15);
+  const double value = d.sign() * d.log_uniform(0.03, 0.4);
   const bool cube = d.chance(0.5);
   return effect(cube ? "cube root" : "square root", {{"at_100rad_s_Nm", value}}, {"torque-balance"},
                 [=](Physics& p) {
@@ -285,13 +287,13 @@ HiddenEffect position_viscous(Draw& d) {
                 });
 }
 HiddenEffect warming_stiffness(Draw& d) {
-  const double value = d.sign() * d.log_uniform(0.003, 0.1);
+  const double value = d.sign() * d.log_uniform(0.002, 0.05);
   return effect("within each run", {{"per_s", value}}, {"stiffness"},
                 [=](Physics& p) { p.stiffness_drift = value; });
 }
 HiddenEffect dropouts(Draw& d) {
   const Channel channel = d.chance(0.5) ? Channel::Force : Channel::Velocity;
-  const double per_s = d.log_uniform(0.5, 10.0);
+  const double per_s = d.log_uniform(0.1, 3.0);
   const double length = d.log_uniform(2e-3, 15e-3);
   return effect(fmt::format("{} held", name_of(channel)), {{"per_s", per_s}, {"length_s", length}},
                 {reading_of(channel), "timing"}, [=](Physics& p) {
@@ -301,7 +303,7 @@ HiddenEffect dropouts(Draw& d) {
                 });
 }
 HiddenEffect force_by_velocity(Draw& d) {
-  const double value = d.sign() * d.log_uniform(15.0, 400.0);
+  const double value = d.sign() * d.log_uniform(4.0, 100.0);
   const double power = d.chance(0.5) ? 1.0 : 2.0;
   return effect(power == 1.0 ? "linear" : "quadratic", {{"at_100rad_s_N", value}}, {"force-reading"},
                 [=](Physics& p) {
@@ -310,12 +312,12 @@ HiddenEffect force_by_velocity(Draw& d) {
                 });
 }
 HiddenEffect contact_drift(Draw& d) {
-  const double value = d.sign() * d.log_uniform(0.05, 1.5);
+  const double value = d.sign() * d.log_uniform(0.03, 0.6);
   return effect("within each run", {{"rad_per_s", value}}, {"stiffness"},
                 [=](Physics& p) { p.contact_drift_rad_s = value; });
 }
 HiddenEffect flipping_friction(Draw& d) {
-  const double value = d.log_uniform(0.01, 0.06);
+  const double value = d.log_uniform(0.002, 0.03);
   const double dwell = d.log_uniform(0.05, 0.5);
   return effect("two levels", {{"step_Nm", value}, {"dwell_s", dwell}}, {"torque-balance"}, [=](Physics& p) {
     p.friction_flip.step_Nm = value;
@@ -368,29 +370,29 @@ struct StationRange {
 };
 
 constexpr std::array kStationRanges = {
-    StationRange{"torque-offset", 0.0015, 0.03, true},
-    StationRange{"torque-gain", 0.006, 0.1, true},
-    StationRange{"torque-lag", 0.15e-3, 5e-3, false},
-    StationRange{"coulomb-load", 4e-7, 1.2e-5, false},
-    StationRange{"friction-asymmetry", 0.0015, 0.025, true},
+    StationRange{"torque-offset", 0.00035, 0.007, true},
+    StationRange{"torque-gain", 0.0007, 0.014, true},
+    StationRange{"torque-lag", 0.03e-3, 0.6e-3, false},
+    StationRange{"coulomb-load", 1.8e-7, 4e-6, false},
+    StationRange{"friction-asymmetry", 0.0003, 0.006, true},
     StationRange{"quadratic-drag", 4e-7, 8e-6, false},
     StationRange{"cogging", 0.003, 0.06, false},
-    StationRange{"inertia-error", 0.008, 0.15, true},
-    StationRange{"ratio-error", 0.005, 0.1, true},
-    StationRange{"presliding", 0.02, 0.8, false},
-    StationRange{"friction-drift", 0.004, 0.05, true},
-    StationRange{"stiffness-hysteresis", 0.004, 0.08, false},
-    StationRange{"pad-damping", 0.3, 15.0, false},
-    StationRange{"pad-relaxation", 0.004, 0.1, false},
-    StationRange{"backlash", 0.03, 0.8, false},
-    StationRange{"stiffness-shape", 6e-4, 8e-3, false},
-    StationRange{"force-offset", 6.0, 250.0, true},
-    StationRange{"force-lag", 0.1e-3, 4e-3, false},
-    StationRange{"force-saturation", 12e3, 23e3, false, false},
+    StationRange{"inertia-error", 0.0007, 0.014, true},
+    StationRange{"ratio-error", 0.0013, 0.026, true},
+    StationRange{"presliding", 0.0005, 0.08, false},
+    StationRange{"friction-drift", 0.0015, 0.03, true},
+    StationRange{"stiffness-hysteresis", 0.0013, 0.027, false},
+    StationRange{"pad-damping", 0.06, 1.3, false},
+    StationRange{"pad-relaxation", 0.0016, 0.035, false},
+    StationRange{"backlash", 0.012, 0.25, false},
+    StationRange{"stiffness-shape", 4e-4, 8e-3, false},
+    StationRange{"force-offset", 3.0, 60.0, true},
+    StationRange{"force-lag", 0.06e-3, 1.3e-3, false},
+    StationRange{"force-saturation", 14e3, 23e3, false, false},
     StationRange{"force-hum", 4.0, 100.0, false},
-    StationRange{"velocity-lag", 0.1e-3, 4e-3, false},
-    StationRange{"channel-skew", 0.1, 5.0, false},
-    StationRange{"outliers", 0.001, 0.03, false},
+    StationRange{"velocity-lag", 0.04e-3, 0.8e-3, false},
+    StationRange{"channel-skew", 0.03, 5.0, false},
+    StationRange{"outliers", 2e-4, 0.01, false},
 };
 
 }  // namespace
