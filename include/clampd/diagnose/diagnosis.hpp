@@ -39,7 +39,7 @@ struct NamedEffect {
   Location location = Location::TorqueBalance;
   std::vector<EstimatedParameter> parameters;
   double log_likelihood_gain = 0.0;  ///< nats that the model loses without it
-  double p_value = 1.0;              ///< that a faultless brake shows as much, all candidates tried considered
+  double p_value = 1.0;  ///< that a faultless brake shows as much, all candidates tried considered
 };
 
 /// One candidate on the ladder of evidence of one stage of the search.
@@ -47,10 +47,10 @@ struct Rung {
   int stage = 1;  ///< 1: alone beside the base model, 2: beside the first effect named, ...
   std::string name;
   Location location = Location::TorqueBalance;
-  double predicted_gain = 0.0;  ///< nats, by one Gauss-Newton step
+  double predicted_gain = 0.0;                             ///< nats, by one Gauss-Newton step
   double gain = std::numeric_limits<double>::quiet_NaN();  ///< nats, refitted; NaN if not worth it
-  int parameters = 0;           ///< estimated for it
-  double evidence = 0.0;        ///< -ln p of the candidate by itself, its alternatives counted
+  int parameters = 0;                                      ///< estimated for it
+  double evidence = 0.0;  ///< -ln p of the candidate by itself, its alternatives counted
   std::vector<EstimatedParameter> values;
   bool chosen = false;
   bool rival = false;
@@ -70,10 +70,10 @@ struct Dependence {
 };
 
 struct MisfitTest {
-  std::string name;       ///< "whiteness of the force", "lack of fit against repeats", ...
+  std::string name;  ///< "whiteness of the force", "lack of fit against repeats", ...
   double statistic = 0.0;
   double p_value = 1.0;
-  std::string words;      ///< what it means here
+  std::string words;  ///< what it means here
 };
 
 struct Misfit {
@@ -121,7 +121,7 @@ struct RunView {
 struct NextExperiment {
   std::string manoeuvre;  ///< a name for it
   std::string why;
-  Run trajectory;                       ///< of the nominal brake, as `clampctl simulate --trajectory` takes it
+  Run trajectory;  ///< of the nominal brake, as `clampctl simulate --trajectory` takes it
   double expected_evidence_nats = 0.0;  ///< between the two rivals hardest to tell apart
 };
 
@@ -130,18 +130,26 @@ struct Diagnosis {
   std::string summary;  ///< one sentence for a technician
   std::vector<NamedEffect> effects;
   std::vector<std::vector<std::string>> rivals;  ///< each group: names that these data cannot tell apart
+  /// The same groups with what each rival makes of the runs, for whoever designs an experiment between them.
+  struct Rival {
+    std::string name;
+    ExtendedParameters model;
+    Eigen::MatrixXd covariance;  ///< of ExtendedBrake's parameters, SI
+  };
+  std::vector<std::vector<Rival>> rival_models;
   std::vector<UnseenEffect> unseen;
   Misfit misfit;
   std::vector<Rung> ladder;
-  double alarm_evidence = std::numeric_limits<double>::quiet_NaN();  ///< from which on a rung raises the alarm
+  double alarm_evidence =
+      std::numeric_limits<double>::quiet_NaN();  ///< from which on a rung raises the alarm
   std::optional<HeldOutGain> gain;
   std::vector<EstimatedParameter> parameters_before;
   std::vector<EstimatedParameter> parameters_after;
   ExtendedParameters model;  ///< with the named effects
   NoiseLevels noise_before, noise_after;
-  std::optional<NextExperiment> next_experiment;
-  std::vector<std::string> notices;  ///< what these data could not show, what was left out
-  std::vector<RunView> views;        ///< if asked for
+  std::optional<NextExperiment> next_experiment;  ///< left empty by diagnose(): experiment designs it
+  std::vector<std::string> notices;               ///< what these data could not show, what was left out
+  std::vector<RunView> views;                     ///< if asked for
   double wall_s = 0.0;
 };
 
@@ -150,11 +158,10 @@ struct DiagnoseOptions {
   /// Judged by but never fitted to. Empty: every third run is held out for the gain, and the final model is
   /// then fitted to all.
   std::span<const Run> heldout = {};
-  bool views = false;            ///< fill Diagnosis::views
-  bool next_experiment = true;   ///< design one where rivals remain
-  int threads = 0;               ///< 0: as many as there are processors
+  bool views = false;  ///< fill Diagnosis::views
+  int threads = 0;     ///< 0: as many as there are processors
   int most_effects = 4;
-  double false_alarm = 0.01;     ///< chance that a faultless set is not called adequate
+  double false_alarm = 0.01;  ///< chance that a faultless set is not called adequate
   /// Called from one thread at a time with the share done and what is being done.
   std::function<void(double, const std::string&)> progress;
 };
