@@ -5,6 +5,7 @@
 #include <regex>
 #include <set>
 #include <string>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -100,6 +101,25 @@ TEST(Figure, AnEllipseHoldsItsShareOfTheDistribution) {
     EXPECT_NEAR(1.0 - std::exp(-0.5 * squared), probability, 1e-12);
   }
   EXPECT_NEAR(outline.x.front(), outline.x.back(), 1e-12);
+}
+
+TEST(Figure, BarsStandAtNamedTicks) {
+  Figure figure;
+  figure.panels = {Panel{
+      .x = {.label = "evidence", .logarithmic = true, .lower = 0.1, .upper = 100},
+      .y = {.lower = 0.4, .upper = 2.6, .ticks = {{1, "first 'one'"}, {2, "the second, much longer name"}}},
+      .layers = {
+          Bars{.label = "named", .y = {2, 1}, .from = {0.1, 0.1}, .to = {50, 3}, .colour = Colour::Green}}}};
+  const Result<std::string> svg = draw(figure, "");
+  ASSERT_TRUE(svg) << svg.error().message;
+  EXPECT_THAT(*svg, HasSubstr("first 'one'"));
+  EXPECT_THAT(*svg, HasSubstr("the second, much longer name"));
+  const std::regex bar(R"(fill = 'rgb\( *0, 158, 115\)'[^>]*points = '([0-9.]+),[0-9.]+ ([0-9.]+),)");
+  std::vector<double> lengths;
+  for (std::sregex_iterator match(svg->begin(), svg->end(), bar), end; match != end; ++match)
+    lengths.push_back(std::stod((*match)[2]) - std::stod((*match)[1]));
+  ASSERT_EQ(lengths.size(), 3U) << "the legend's sample, then the bars";
+  EXPECT_NEAR(lengths[2] / lengths[1], std::log10(3 / 0.1) / std::log10(50 / 0.1), 1e-3);
 }
 
 class WithoutGnuplot : public ::testing::Test {

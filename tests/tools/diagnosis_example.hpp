@@ -85,8 +85,11 @@ inline Diagnosis rippling_brake() {
                       rung(2, "force-hum", Location::ForceReading, 2.1, 0.9),
                       rung(2, "quadratic-drag", Location::TorqueBalance, 1.3, 0.4)};
   diagnosis.ladder[1].chosen = true;
-  diagnosis.ladder.push_back(
-      {.name = "velocity-lag", .location = Location::VelocityReading, .evidence = 0.2});
+  Rung not_refitted;
+  not_refitted.name = "velocity-lag";
+  not_refitted.location = Location::VelocityReading;
+  not_refitted.evidence = 0.2;
+  diagnosis.ladder.push_back(not_refitted);
   HeldOutGain gain;
   gain.runs = {"optimal-003.csv", "staircase-002.csv"};
   gain.before = {.rms_force_N = 34.0,
