@@ -8,7 +8,7 @@
 
 #include "clampd/base/assert.hpp"
 
-namespace clampd::diagnose {
+namespace clampd::drive {
 
 Regression regress(const Eigen::MatrixXd& columns, const Eigen::VectorXd& target,
                    std::span<const int> block) {
@@ -107,4 +107,4 @@ double effective_size(const Eigen::VectorXd& residuals) {
   return static_cast<double>(n) / inflation;
 }
 
-}  // namespace clampd::diagnose
+}  // namespace clampd::drive

@@ -5,7 +5,7 @@
 
 #include <Eigen/Core>
 
-namespace clampd::diagnose {
+namespace clampd::drive {
 
 /// Least squares whose uncertainty comes from the scatter among blocks of rows: right whatever the noise
 /// looks like within a block.
@@ -34,4 +34,4 @@ double share_of_its_own(const Eigen::MatrixXd& others, const Eigen::VectorXd& co
 /// Samples worth of independent ones: size over the variance inflation by autocorrelation.
 double effective_size(const Eigen::VectorXd& residuals);
 
-}  // namespace clampd::diagnose
+}  // namespace clampd::drive

@@ -8,7 +8,7 @@
 #include <fmt/format.h>
 #include <Eigen/Dense>
 
-namespace clampd::diagnose {
+namespace clampd::drive {
 
 struct RowsBuilder {
   static void add(DriveRows& rows, std::size_t first, std::vector<double> weights) {
@@ -121,7 +121,7 @@ std::vector<double> kernel(std::span<const double> time_s, double at_s, double s
 
 /// The lowest cut-off that leaves all but this share of the torque's power, noise aside.
 double chosen_cut_off_Hz(const Run& run) {
-  constexpr double kLostShare = 0.003;
+  constexpr double kLostShare = 0.001;
   const std::span<const double> time_s(run.time_s);
   const std::size_t n = run.size();
   const double highest_Hz = 0.2 / median_step(time_s);
@@ -164,7 +164,7 @@ Result<void> check(const Run& run, const DriveModel& model) {
 
 DriveMotion motion_of(const Run& run, double cut_off_Hz) {
   // Wider than the rows' filter, so that what little it attenuates is of no account there.
-  const double half_width_s = std::max(1.0 / (3.0 * cut_off_Hz), 3.5 * median_step(run.time_s));
+  const double half_width_s = std::max(1.0 / (5.0 * cut_off_Hz), 3.5 * median_step(run.time_s));
   DriveMotion motion;
   motion.time_s = run.time_s;
   motion.torque = run.torque_Nm;
@@ -293,4 +293,4 @@ Result<DriveData> prepare(std::span<const Run> runs, const DriveModel& model, do
   return data;
 }
 
-}  // namespace clampd::diagnose
+}  // namespace clampd::drive

@@ -10,7 +10,7 @@
 #include "clampd/diagnose/drive_model.hpp"
 #include "clampd/record/run.hpp"
 
-namespace clampd::diagnose {
+namespace clampd::drive {
 
 /// One run's motion, sample by sample.
 struct DriveMotion {
@@ -54,4 +54,4 @@ struct DriveData {
 /// model's. Errors: a run too short or without a reading that the model promises, no motion at all.
 Result<DriveData> prepare(std::span<const Run> runs, const DriveModel& model, double cut_off_Hz);
 
-}  // namespace clampd::diagnose
+}  // namespace clampd::drive

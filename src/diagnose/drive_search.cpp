@@ -2,18 +2,22 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <map>
 
+#include <boost/math/distributions/students_t.hpp>
 #include <fmt/format.h>
 #include <Eigen/Dense>
 
-namespace clampd::diagnose {
+namespace clampd::drive {
 namespace {
 
 constexpr double kLeastShareOfItsOwn = 1e-3;
 constexpr double kRivalNats = 5.0;
 /// An effect must take at least this share off the squared error of what was held out.
 constexpr double kLeastHeldOutShare = 0.01;
+/// That folds agree by chance that an effect helps.
+constexpr double kChanceOfFolds = 0.05;
 constexpr std::size_t kMostOrders = 6;
 
 std::vector<int> numbered(const std::vector<int>& labels) {
@@ -65,6 +69,11 @@ bool independent(const Eigen::MatrixXd& base, const Eigen::MatrixXd& added) {
     others = joined(others, added.col(j));
   }
   return true;
+}
+
+/// Effects that can only add to friction.
+bool one_sided(DriveTerm term) {
+  return term == DriveTerm::QuadraticDrag || term == DriveTerm::FrictionShape || term == DriveTerm::Presliding;
 }
 
 class Search {
@@ -168,6 +177,7 @@ class Search {
 
   DriveTrial judge(const DriveComponent& component, const Eigen::MatrixXd& base, const Regression& without) {
     DriveTrial trial{component};
+    fprintf(stderr,"%s\n",kDriveTermNames[(size_t)component.term].data());
     const Eigen::MatrixXd added = DriveFit::columns({component}, fit_.data());
     const Regression with = regress(joined(base, added), fit_.target(), fit_.blocks());
     const double alternatives = std::log(component.alternatives);
@@ -175,7 +185,8 @@ class Search {
     trial.evidence = with.evidence_of_last(static_cast<int>(added.cols())) - alternatives;
     trial.score = trial.gain - alternatives -
                   0.5 * static_cast<double>(added.cols()) * std::log(effective_size(with.residuals));
-    trial.significant = trial.evidence > alarm() && trial.score > 0.0;
+    trial.significant = trial.evidence > alarm() && trial.score > 0.0 &&
+                        (!one_sided(component.term) || with.coefficients[base.cols()] > 0.0);
     trial.holds = trial.significant && holds(base, joined(base, added), component);
     return trial;
   }
@@ -197,7 +208,12 @@ class Search {
       components.push_back(component);
       if (error(extended) > (1.0 - kLeastHeldOutShare) * before) return false;
     }
-    return holds_over(base, extended, per_run_phase ? fit_.blocks() : fit_.conditions()) ||
+    return predicts(base, extended);
+  }
+
+  /// Whether each part left out in turn is predicted better with the added columns.
+  bool predicts(const Eigen::MatrixXd& base, const Eigen::MatrixXd& extended) const {
+    return holds_over(base, extended, fit_.conditions()) ||
            (!fit_.by_conditions() && holds_over(base, extended, fit_.blocks()));
   }
 
@@ -218,8 +234,11 @@ class Search {
       ++judged;
     }
     if (judged < 3) return &folds != &fit_.blocks() && holds_over(base, extended, fit_.blocks());
+    fprintf(stderr,"   folds %d share %.4f t %.2f\n",judged,sum/before,sum/std::sqrt(std::max(0.0, square - sum * sum / judged) * judged / (judged - 1.0)));
     const double variance = std::max(0.0, square - sum * sum / judged) * judged / (judged - 1.0);
-    return sum > kLeastHeldOutShare * before && sum > std::sqrt(variance);
+    const boost::math::students_t_distribution<double> student(judged - 1.0);
+    return sum > kLeastHeldOutShare * before &&
+           sum > boost::math::quantile(boost::math::complement(student, kChanceOfFolds)) * std::sqrt(variance);
   }
 
   DriveSearchResult::Stage try_all(const std::vector<DriveTerm>& candidates) {
@@ -259,7 +278,7 @@ class Search {
     const Regression without = regress(base, fit_.target(), fit_.blocks());
     for (std::size_t i = 0; i < stage.trials.size(); ++i) {
       const DriveTrial& trial = stage.trials[i];
-      if (i == *stage.winner || !trial.significant || trial.score < winner.score - kRivalNats) continue;
+      if (i == *stage.winner || !trial.holds || trial.score < winner.score - kRivalNats) continue;
       const Eigen::MatrixXd added = DriveFit::columns({trial.component}, fit_.data());
       if (independent(base, added) && judge(trial.component, base, without).holds) continue;
       stage.rivals.push_back(i);
@@ -346,13 +365,14 @@ class Search {
       const Regression with = regress(extended, fit_.target(), fit_.blocks());
       const double evidence =
           with.evidence_of_last(static_cast<int>(columns.cols())) - std::log(component.alternatives);
-      if (!component.shape.empty() && evidence < alarm()) break;
+      const bool counts = evidence > alarm();
+      if (!component.shape.empty() && (!counts || !holds_over(current, extended, fit_.blocks()))) break;
       current = extended;
       residual = with.residuals;
       component.shape.push_back(order);
       for (DriveColumn& column : periodic_columns(order, model_.linear, absolute, runs))
         component.columns.push_back(std::move(column));
-      if (evidence < alarm()) break;
+      if (!counts) break;
     }
     if (component.shape.empty()) return std::nullopt;
     return judge(component, base, without);
@@ -433,7 +453,7 @@ DriveFit::DriveFit(const DriveData& data, const DriveModel& model)
   const std::vector<int> thirds = levels_of(places, 3);
   std::vector<int> conditions, cells;
   for (std::size_t i = 0; i < n; ++i) {
-    conditions.push_back(2 * levels[i] + directions[i]);
+    conditions.push_back(2 * levels[i] + (both_directions_ ? directions[i] : 0));
     cells.push_back(6 * thirds[i] + conditions.back());
   }
   conditions_ = numbered(conditions);
@@ -479,4 +499,4 @@ DriveSearchResult search(const DriveFit& fit, const DriveModel& model, const Dri
   return Search(fit, model, heldout, options).run();
 }
 
-}  // namespace clampd::diagnose
+}  // namespace clampd::drive

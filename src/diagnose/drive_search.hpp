@@ -9,7 +9,7 @@
 #include "src/diagnose/drive_regression.hpp"
 #include "src/diagnose/drive_terms.hpp"
 
-namespace clampd::diagnose {
+namespace clampd::drive {
 
 /// Rows of all runs one below the other, and how they are divided.
 class DriveFit {
@@ -74,4 +74,4 @@ struct DriveSearchOptions {
 DriveSearchResult search(const DriveFit& fit, const DriveModel& model, const DriveData* heldout,
                          const DriveSearchOptions& options);
 
-}  // namespace clampd::diagnose
+}  // namespace clampd::drive

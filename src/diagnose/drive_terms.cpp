@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-namespace clampd::diagnose {
+namespace clampd::drive {
 namespace {
 
 /// A function of the samples, filtered like the torque.
@@ -41,7 +41,7 @@ DriveRange range_of(const DriveData& data) {
   range.least_position = least;
   range.most_position = most;
   range.low_speed = at(0.05);
-  range.median_speed = at(0.5);
+  range.slow_speed = at(0.25);
   range.high_speed = at(0.98);
   return range;
 }
@@ -134,10 +134,10 @@ std::vector<double> orders_to_scan(const DriveData& data, const DriveRange& rang
   double longest = 0.0;
   for (const DriveRows& run : data.runs)
     longest = std::max(longest, run.position.maxCoeff() - run.position.minCoeff());
-  if (!(longest > 0.0) || !(range.median_speed > 0.0)) return {};
+  if (!(longest > 0.0) || !(range.slow_speed > 0.0)) return {};
   const double turn = linear ? 1.0 : 2.0 * M_PI;
-  const double highest = std::min(1.2 * data.cut_off_Hz * turn / range.median_speed, 400.0 * turn / longest);
-  const double lowest = (linear ? 1.5 : 1.0) * turn / longest;
+  const double highest = std::min(data.cut_off_Hz * turn / range.slow_speed, 400.0 * turn / longest);
+  const double lowest = (linear ? 4.0 : 1.0) * turn / longest;
   std::vector<double> orders;
   // Whole orders where the position is the motor's own angle; anything where it is a length.
   const double step = linear ? 0.35 / longest : 1.0;
@@ -177,4 +177,4 @@ std::string_view words_of(DriveTerm term) {
   return "";
 }
 
-}  // namespace clampd::diagnose
+}  // namespace clampd::drive

@@ -8,7 +8,7 @@
 
 #include "src/diagnose/drive_rows.hpp"
 
-namespace clampd::diagnose {
+namespace clampd::drive {
 
 /// A column of the torque balance: one value a row of the given run, the run's number given.
 using DriveColumn = std::function<Eigen::VectorXd(const DriveRows&, int)>;
@@ -24,7 +24,7 @@ struct DriveComponent {
 
 struct DriveRange {
   double least_position = 0.0, most_position = 0.0;
-  double low_speed = 0.0, median_speed = 0.0, high_speed = 0.0;
+  double low_speed = 0.0, slow_speed = 0.0, high_speed = 0.0;  ///< a share of 5, 25, 98 % is slower
   double duration_s = 0.0;
 };
 DriveRange range_of(const DriveData& data);
@@ -42,4 +42,4 @@ std::vector<double> orders_to_scan(const DriveData& data, const DriveRange& rang
 /// What the technician reads.
 std::string_view words_of(DriveTerm term);
 
-}  // namespace clampd::diagnose
+}  // namespace clampd::drive

@@ -1,0 +1,613 @@
+#include "clampd/diagnose/drive_diagnosis.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <numeric>
+
+#include <fmt/format.h>
+#include <Eigen/Dense>
+#include <boost/math/distributions/chi_squared.hpp>
+
+#include "src/diagnose/drive_search.hpp"
+
+namespace clampd {
+namespace {
+
+using namespace drive;
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+/// A misfit that takes off less than this share of the squared error is not worth a word.
+constexpr double kMaterialShare = 0.02;
+
+struct UnseenReason {
+  std::string_view name, reason;
+};
+constexpr std::string_view kNoForce = "a bare drive has no reading of clamp force";
+constexpr std::array<UnseenReason, 17> kNeverSeen{{
+    {"coulomb-load", kNoForce},
+    {"stiffness-hysteresis", kNoForce},
+    {"stiffness-shape", kNoForce},
+    {"pad-damping", kNoForce},
+    {"pad-relaxation", kNoForce},
+    {"backlash", kNoForce},
+    {"ratio-error", kNoForce},
+    {"force-offset", kNoForce},
+    {"force-lag", kNoForce},
+    {"force-saturation", kNoForce},
+    {"force-hum", kNoForce},
+    {"torque-gain", "every parameter is in units of the torque reading and would scale with it"},
+    {"torque-lag", "inverse dynamics takes torque and motion as simultaneous"},
+    {"velocity-lag", "inverse dynamics takes torque and motion as simultaneous"},
+    {"channel-skew", "inverse dynamics takes torque and motion as simultaneous"},
+    {"inertia-error", "the inertia is estimated or off; give a known value in the model file to test it"},
+    {"outliers", "rows are averages over several samples"},
+}};
+
+std::string_view name_of(DriveTerm term) {
+  return kDriveTermNames[static_cast<std::size_t>(term)];
+}
+
+/// Of a torque per velocity, acceleration and so on.
+struct Units {
+  std::string torque, position, velocity, per_velocity, per_acceleration, per_velocity_squared, order,
+      per_time;
+
+  explicit Units(const DriveModel& model)
+      : torque(model.torque_unit),
+        position(model.position_unit()),
+        velocity(position + "/s"),
+        per_velocity(torque == "A" ? "A s/" + position : torque + " s/" + position),
+        per_acceleration(torque == "N m" ? "kg m^2"
+                         : torque == "N" ? "kg"
+                                         : "A s^2/" + position),
+        per_velocity_squared(torque + " s^2/" + position + "^2"),
+        order(model.linear ? "1/m" : "1/rev"),
+        per_time(torque) {}
+};
+
+/// Where a component's coefficients stand in the model's.
+struct Layout {
+  std::vector<DriveComponent> components;
+  std::vector<Eigen::Index> first;
+  Eigen::Index count = 0;
+
+  explicit Layout(std::vector<DriveComponent> all) : components(std::move(all)) {
+    for (const DriveComponent& component : components) {
+      first.push_back(count);
+      count += static_cast<Eigen::Index>(component.columns.size());
+    }
+  }
+  /// -1 if absent.
+  Eigen::Index at(DriveTerm term) const {
+    for (std::size_t i = 0; i < components.size(); ++i)
+      if (components[i].term == term) return first[i];
+    return -1;
+  }
+};
+
+/// A model fitted to all rows.
+struct Fitted {
+  Layout layout;
+  Regression regression;
+  Eigen::MatrixXd over_cells;  ///< covariance by parts of the operating range; empty if there are too few
+  Eigen::MatrixXd columns;
+
+  double variance_of(const Eigen::VectorXd& weights) const {
+    const double over_time = weights.dot(regression.jackknife * weights);
+    return over_cells.size() == 0 ? over_time : std::max(over_time, weights.dot(over_cells * weights));
+  }
+
+  /// Sum of factor times coefficient, with its standard deviation
+  EstimatedParameter combined(std::string name, std::string unit,
+                              std::initializer_list<std::pair<Eigen::Index, double>> terms,
+                              double known = 0.0) const {
+    Eigen::VectorXd weights = Eigen::VectorXd::Zero(layout.count);
+    for (const auto& [index, factor] : terms)
+      if (index >= 0) weights[index] += factor;
+    const double variance = variance_of(weights);
+    return {std::move(name), std::move(unit), known + weights.dot(regression.coefficients),
+            variance > 0.0 ? std::sqrt(variance) : kNaN};
+  }
+};
+
+Fitted fitted(const DriveFit& fit, std::vector<DriveComponent> components) {
+  Fitted result{Layout(std::move(components)), {}, {}, {}};
+  result.columns = fit.columns(result.layout.components);
+  result.regression = regress(result.columns, fit.target(), fit.blocks());
+  // A model that fits one part of the range better than another is known no better than they agree.
+  if (fit.by_conditions())
+    result.over_cells = regress(result.columns, fit.target(), fit.cells()).clustered;
+  return result;
+}
+
+double relative_error(const Fitted& model, const DriveFit& fit) {
+  double square = 0.0;
+  for (const DriveRows& run : fit.data().runs) square += run.torque.squaredNorm();
+  return std::sqrt(model.regression.residual_square / square);
+}
+
+/// Ljung and Box over ten lags.
+MisfitTest whiteness(const Eigen::VectorXd& residuals) {
+  const Eigen::Index n = residuals.size();
+  MisfitTest test{"whiteness of the torque", 0.0, 1.0, "what is left of the torque looks like noise"};
+  constexpr Eigen::Index kLags = 10;
+  const double square = residuals.squaredNorm();
+  if (n < 3 * kLags || !(square > 0.0)) return test;
+  const double size = static_cast<double>(n);
+  for (Eigen::Index lag = 1; lag <= kLags; ++lag) {
+    const double correlation = residuals.head(n - lag).dot(residuals.tail(n - lag)) / square;
+    test.statistic += size * (size + 2.0) * correlation * correlation / (size - static_cast<double>(lag));
+  }
+  const boost::math::chi_squared_distribution<double> distribution(static_cast<double>(kLags));
+  test.p_value = boost::math::cdf(boost::math::complement(distribution, test.statistic));
+  if (test.p_value < 0.01)
+    test.words = "what is left of the torque has a memory; uncertainties count it in blocks of time";
+  return test;
+}
+
+std::vector<MisfitTest> tests_of(const Fitted& model, const DriveFit& fit) {
+  const double relative = relative_error(model, fit);
+  return {{"relative torque error", relative, kNaN,
+           fmt::format("{:.2f} % of the torque is not explained, over all rows", 100.0 * relative)},
+          whiteness(model.regression.residuals)};
+}
+
+/// A value of each row, for the tests on what the rest depends on.
+Eigen::VectorXd variable_of(const DriveFit& fit, std::string_view name) {
+  std::vector<double> values;
+  double run_number = 0.0;
+  for (const DriveRows& run : fit.data().runs) {
+    for (Eigen::Index i = 0; i < run.velocity.size(); ++i)
+      values.push_back(name == "position"    ? run.position[i]
+                       : name == "velocity"  ? run.velocity[i]
+                       : name == "direction" ? (run.velocity[i] > 0.0 ? 1.0 : -1.0)
+                       : name == "time"      ? run.time_s[i]
+                                             : run_number);
+    run_number += 1.0;
+  }
+  return Eigen::Map<Eigen::VectorXd>(values.data(), static_cast<Eigen::Index>(values.size()));
+}
+
+struct DependenceTest {
+  Dependence dependence;
+  double share = 0.0;  ///< of the squared error
+  bool holds = false;  ///< blocks left out agree
+};
+
+/// A step function of eight levels beside the model.
+std::optional<DependenceTest> dependence_on(std::string_view name, const Fitted& model, const DriveFit& fit,
+                                            double tests) {
+  const Eigen::VectorXd values = variable_of(fit, name);
+  std::vector<double> sorted(values.data(), values.data() + values.size());
+  std::sort(sorted.begin(), sorted.end());
+  constexpr std::size_t kLevels = 8;
+  std::vector<double> edges;
+  for (std::size_t k = 1; k < kLevels; ++k) edges.push_back(sorted[sorted.size() * k / kLevels]);
+  edges.erase(std::unique(edges.begin(), edges.end()), edges.end());
+  Eigen::MatrixXd columns = model.columns;
+  int added = 0;
+  for (std::size_t k = 0; k <= edges.size(); ++k) {
+    const double from = k == 0 ? -std::numeric_limits<double>::infinity() : edges[k - 1];
+    const double to = k == edges.size() ? std::numeric_limits<double>::infinity() : edges[k];
+    const Eigen::VectorXd level =
+        values.unaryExpr([&](double value) { return value >= from && value < to ? 1.0 : 0.0; });
+    if (share_of_its_own(columns, level) < 0.02) continue;
+    columns.conservativeResize(Eigen::NoChange, columns.cols() + 1);
+    columns.rightCols(1) = level;
+    ++added;
+  }
+  if (added == 0) return std::nullopt;
+  const Regression with = regress(columns, fit.target(), fit.blocks());
+  const double evidence = with.evidence_of_last(added);
+  DependenceTest test;
+  test.share = 1.0 - with.residual_square / model.regression.residual_square;
+  test.dependence = {std::string(name), Location::TorqueBalance,
+                     0.5 * effective_size(with.residuals) *
+                         std::log(model.regression.residual_square / with.residual_square),
+                     std::min(1.0, tests * std::exp(-evidence))};
+  const double before =
+      std::accumulate(model.regression.heldout_square.begin(), model.regression.heldout_square.end(), 0.0);
+  const double after = std::accumulate(with.heldout_square.begin(), with.heldout_square.end(), 0.0);
+  test.holds = after < (1.0 - 0.5 * kMaterialShare) * before;
+  return test;
+}
+
+std::vector<DependenceTest> dependences(const Fitted& model, const DriveFit& fit, double false_alarm) {
+  std::vector<std::string_view> names{"velocity"};
+  if (fit.data().position_absolute) names.push_back("position");
+  if (fit.both_directions()) names.push_back("direction");
+  if (fit.blocks().size() > fit.data().runs.size()) names.push_back("time");
+  if (fit.data().runs.size() > 1 && fit.blocks().size() > fit.data().runs.size()) names.push_back("run");
+  std::vector<DependenceTest> found;
+  for (const std::string_view name : names) {
+    const auto test = dependence_on(name, model, fit, static_cast<double>(names.size()));
+    if (test && test->holds && test->dependence.p_value < false_alarm && test->share > kMaterialShare)
+      found.push_back(*test);
+  }
+  std::sort(found.begin(), found.end(), [](const DependenceTest& a, const DependenceTest& b) {
+    return a.dependence.gain > b.dependence.gain;
+  });
+  return found;
+}
+
+std::vector<EstimatedParameter> base_parameters(const Fitted& model, const DriveModel& drive,
+                                                const Units& units) {
+  std::vector<EstimatedParameter> parameters;
+  const auto add = [&](DriveTerm term, const std::string& unit) {
+    if (drive.part(term).use == PartUse::Fixed)
+      parameters.push_back({std::string(name_of(term)), unit, drive.part(term).value, kNaN});
+    else if (model.layout.at(term) >= 0)
+      parameters.push_back(model.combined(std::string(name_of(term)), unit, {{model.layout.at(term), 1.0}}));
+  };
+  add(DriveTerm::Inertia, units.per_acceleration);
+  add(DriveTerm::Viscous, units.per_velocity);
+  add(DriveTerm::Coulomb, units.torque);
+  return parameters;
+}
+
+/// Root mean square of the ripple's torque, and how unevenly the drive moves: the scatter of its speed about
+/// its median, robustly, over that median.
+std::pair<double, double> ripple_of(const DriveRows& run, const Eigen::VectorXd& ripple) {
+  std::vector<double> speeds(run.velocity.data(), run.velocity.data() + run.velocity.size());
+  const auto middle = [](std::vector<double>& values) {
+    const auto at = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+    std::nth_element(values.begin(), at, values.end());
+    return *at;
+  };
+  const double median = middle(speeds);
+  for (double& speed : speeds) speed = std::abs(speed - median);
+  return {std::sqrt(ripple.squaredNorm() / static_cast<double>(ripple.size())),
+          1.4826 * middle(speeds) / std::abs(median)};
+}
+
+std::vector<EstimatedParameter> effect_parameters(const DriveComponent& component, const Fitted& model,
+                                                  const DriveModel& drive, const Units& units) {
+  const Eigen::Index at = model.layout.at(component.term);
+  const auto known = [&](DriveTerm term) {
+    return drive.part(term).use == PartUse::Fixed ? drive.part(term).value : 0.0;
+  };
+  const auto one = [&](std::string name, std::string unit) {
+    return std::vector<EstimatedParameter>{model.combined(std::move(name), std::move(unit), {{at, 1.0}})};
+  };
+  switch (component.term) {
+    case DriveTerm::Inertia:
+    case DriveTerm::Viscous:
+    case DriveTerm::Coulomb:
+      break;
+    case DriveTerm::TorqueOffset:
+      return one("offset", units.torque);
+    case DriveTerm::FrictionAsymmetry: {
+      const bool own_offset = component.columns.size() == 2;
+      const Eigen::Index constant = own_offset ? at : model.layout.at(DriveTerm::TorqueOffset);
+      const Eigen::Index slope = own_offset ? at + 1 : at;
+      const Eigen::Index viscous = model.layout.at(DriveTerm::Viscous);
+      const Eigen::Index coulomb = model.layout.at(DriveTerm::Coulomb);
+      const double viscous_known = known(DriveTerm::Viscous);
+      const double coulomb_known = known(DriveTerm::Coulomb);
+      return {
+          model.combined("viscous-forward", units.per_velocity, {{viscous, 1.0}, {slope, 1.0}},
+                         viscous_known),
+          model.combined("coulomb-forward", units.torque, {{coulomb, 1.0}, {constant, 1.0}}, coulomb_known),
+          model.combined("viscous-backward", units.per_velocity, {{viscous, 1.0}, {slope, -1.0}},
+                         viscous_known),
+          model.combined("coulomb-backward", units.torque, {{coulomb, 1.0}, {constant, -1.0}},
+                         coulomb_known)};
+    }
+    case DriveTerm::QuadraticDrag:
+      return one("drag", units.per_velocity_squared);
+    case DriveTerm::FrictionShape: {
+      auto parameters = one("rise", units.torque);
+      parameters.push_back({"speed", units.velocity, component.shape.front(), kNaN});
+      return parameters;
+    }
+    case DriveTerm::Presliding: {
+      auto parameters = one("level", units.torque);
+      parameters.push_back({"length", units.position, component.shape.front(), kNaN});
+      return parameters;
+    }
+    case DriveTerm::Cogging: {
+      std::vector<EstimatedParameter> parameters;
+      const std::size_t each = component.columns.size() / component.shape.size();
+      for (std::size_t k = 0; k < component.shape.size(); ++k) {
+        const std::string number = fmt::format("-{}", k + 1);
+        const Eigen::Index first = at + static_cast<Eigen::Index>(k * each);
+        parameters.push_back({"order" + number, units.order, component.shape[k], kNaN});
+        // Of the runs together, where each has its own phase.
+        double square = 0.0;
+        double noise = 0.0;
+        for (std::size_t j = 0; j < each; ++j) {
+          const Eigen::Index index = first + static_cast<Eigen::Index>(j);
+          const double value = model.regression.coefficients[index];
+          square += value * value * 2.0 / static_cast<double>(each);
+          noise += value * value * model.variance_of(Eigen::VectorXd::Unit(model.layout.count, index)) * 4.0 / static_cast<double>(each * each);
+        }
+        const double amplitude = std::sqrt(square);
+        parameters.push_back({"amplitude" + number, units.torque, amplitude,
+                              amplitude > 0.0 ? std::sqrt(noise) / amplitude : kNaN});
+        if (each != 2) continue;
+        parameters.push_back(model.combined("cosine" + number, units.torque, {{first, 1.0}}));
+        parameters.push_back(model.combined("sine" + number, units.torque, {{first + 1, 1.0}}));
+      }
+      return parameters;
+    }
+    case DriveTerm::FrictionPosition:
+    case DriveTerm::LoadPosition:
+      return {model.combined("slope", units.torque, {{at, 1.0}}),
+              model.combined("curvature", units.torque, {{at + 1, 1.0}})};
+    case DriveTerm::FrictionDrift:
+      return one("change-per-run", units.torque);
+  }
+  return {};
+}
+
+GainFigures figures(const Fitted& model, double square, double torque_square, double count) {
+  GainFigures result;
+  result.rms_force_N = result.rms_velocity_rad_s = kNaN;
+  result.simulated_rms_force_N = result.simulated_rms_velocity_rad_s = kNaN;
+  const double variance =
+      model.regression.residual_square /
+      std::max(1.0, static_cast<double>(model.regression.residuals.size() - model.layout.count));
+  result.rms_torque_Nm = std::sqrt(square / count);
+  result.torque_error_relative = std::sqrt(square / torque_square);
+  result.log_likelihood_per_sample = -0.5 * std::log(2.0 * M_PI * variance) - 0.5 * square / count / variance;
+  result.whiteness_p_value = whiteness(model.regression.residuals).p_value;
+  result.misfit = square / count / variance;
+  return result;
+}
+
+HeldOutGain heldout_gain(const Fitted& before, const Fitted& after, const DriveFit& fit,
+                         const DriveData* heldout, std::vector<std::string>& notices) {
+  HeldOutGain gain;
+  if (heldout != nullptr) {
+    const Eigen::VectorXd target = fit.target(*heldout);
+    double torque_square = 0.0;
+    for (const DriveRows& run : heldout->runs) {
+      torque_square += run.torque.squaredNorm();
+      gain.runs.push_back(run.name);
+    }
+    const auto square = [&](const Fitted& model) {
+      return (target - DriveFit::columns(model.layout.components, *heldout) * model.regression.coefficients)
+          .squaredNorm();
+    };
+    const auto count = static_cast<double>(target.size());
+    gain.before = figures(before, square(before), torque_square, count);
+    gain.after = figures(after, square(after), torque_square, count);
+    return gain;
+  }
+  // Nothing to spare: one part left out after the other, the same parts before and after.
+  for (const bool conditions : {true, false}) {
+    const std::vector<int>& folds = conditions ? fit.conditions() : fit.blocks();
+    const Regression first = regress(before.columns, fit.target(), folds);
+    const Regression second = regress(after.columns, fit.target(), folds);
+    double square_before = 0.0, square_after = 0.0, torque_square = 0.0, count = 0.0;
+    int judged = 0;
+    std::vector<bool> use;
+    for (std::size_t f = 0; f < first.judged.size(); ++f) {
+      use.push_back(first.judged[f] && second.judged[f]);
+      if (!use.back()) continue;
+      ++judged;
+      square_before += first.heldout_square[f];
+      square_after += second.heldout_square[f];
+    }
+    if (judged < 3 && conditions) continue;
+    std::size_t row = 0;
+    for (const DriveRows& run : fit.data().runs)
+      for (Eigen::Index i = 0; i < run.torque.size(); ++i, ++row)
+        if (use[static_cast<std::size_t>(folds[row])]) {
+          torque_square += run.torque[i] * run.torque[i];
+          count += 1.0;
+        }
+    gain.before = figures(before, square_before, torque_square, count);
+    gain.after = figures(after, square_after, torque_square, count);
+    notices.push_back(fmt::format(
+        "no run was held out; the gain is judged by leaving out each of {} {} in turn", judged,
+        fit.by_conditions() && conditions ? "combinations of direction and speed" : "parts of the runs"));
+    break;
+  }
+  return gain;
+}
+
+std::vector<RunView> views_of(const DriveFit& fit, const Fitted& before, const Fitted& after) {
+  std::vector<RunView> views;
+  Eigen::Index row = 0;
+  const auto list = [](const Eigen::VectorXd& values) {
+    return std::vector<double>(values.data(), values.data() + values.size());
+  };
+  for (const DriveRows& run : fit.data().runs) {
+    RunView view;
+    const auto size = static_cast<Eigen::Index>(run.size());
+    view.name = run.name;
+    view.time_s = list(run.time_s);
+    view.torque_Nm = list(run.torque);
+    view.position_rad = list(run.position);
+    view.velocity.measured = list(run.velocity);
+    view.disturbance_before_Nm = list(before.regression.residuals.segment(row, size));
+    view.disturbance_after_Nm = list(after.regression.residuals.segment(row, size));
+    row += size;
+    views.push_back(std::move(view));
+  }
+  return views;
+}
+
+/// How evenly each run moves in spite of the ripple: a drive that compensates it moves evenly, while its
+/// torque carries the ripple.
+void report_ripple(const DriveFit& fit, const DriveData* heldout, const Fitted& after, const Units& units,
+                   Diagnosis& diagnosis) {
+  const Eigen::Index at = after.layout.at(DriveTerm::Cogging);
+  if (at < 0) return;
+  const DriveComponent* cogging = nullptr;
+  for (const DriveComponent& component : after.layout.components)
+    if (component.term == DriveTerm::Cogging) cogging = &component;
+  const auto count = static_cast<Eigen::Index>(cogging->columns.size());
+  const auto over = [&](const DriveData& data, const char* name) {
+    const Eigen::VectorXd ripple =
+        DriveFit::columns({*cogging}, data) * after.regression.coefficients.segment(at, count);
+    Eigen::Index row = 0;
+    double torque = 0.0;
+    double unevenness = 0.0;
+    for (const DriveRows& run : data.runs) {
+      const auto size = static_cast<Eigen::Index>(run.size());
+      const auto [rms, uneven] = ripple_of(run, ripple.segment(row, size));
+      row += size;
+      torque += rms / static_cast<double>(data.runs.size());
+      unevenness += uneven / static_cast<double>(data.runs.size());
+    }
+    diagnosis.misfit.tests_after.push_back(
+        {name, unevenness, kNaN,
+         fmt::format("speed scatters by {:.3g} % of its median while the ripple takes {:.3g} {} rms",
+                     100.0 * unevenness, torque, units.torque)});
+    return unevenness;
+  };
+  const double fitted_runs = over(fit.data(), "unevenness of the motion");
+  if (heldout == nullptr || !fit.data().position_absolute) return;
+  const double others = over(*heldout, "unevenness of the motion held out");
+  if (others < 0.7 * fitted_runs)
+    diagnosis.notices.push_back(fmt::format(
+        "the held-out runs move {:.1f} times more evenly against the same ripple: there the drive "
+        "compensates it",
+        fitted_runs / others));
+}
+
+std::string listed(const std::vector<std::string>& words) {
+  std::string text;
+  for (std::size_t i = 0; i < words.size(); ++i)
+    text += (i == 0 ? "" : i + 1 == words.size() ? "; and " : "; ") + words[i];
+  return text;
+}
+
+}  // namespace
+
+Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model,
+                                 const DiagnoseOptions& options) {
+  const auto started = std::chrono::steady_clock::now();
+  const auto progress = [&](double share, const char* what) {
+    if (options.progress) options.progress(share, what);
+  };
+  progress(0.0, "motion");
+  const Result<DriveData> data = prepare(runs, model, kNaN);
+  if (!data) return tl::unexpected(data.error());
+  std::optional<DriveData> heldout;
+  if (!options.heldout.empty()) {
+    Result<DriveData> prepared = prepare(options.heldout, model, data->cut_off_Hz);
+    if (!prepared) return tl::unexpected(prepared.error());
+    heldout = std::move(*prepared);
+  }
+  const DriveData* judge = heldout ? &*heldout : nullptr;
+
+  Diagnosis diagnosis;
+  diagnosis.notices = data->notices;
+  if (!model.steady)
+    diagnosis.notices.push_back(
+        fmt::format("both sides of the torque balance are filtered at {:.3g} Hz", data->cut_off_Hz));
+  const DriveFit fit(*data, model);
+  progress(0.3, "effects");
+  const DriveSearchResult found = search(fit, model, judge, {options.false_alarm, options.most_effects});
+  if (found.base.empty() && found.chosen.empty())
+    return failure(fmt::format("{}: the model has no part to estimate", model.file));
+  diagnosis.notices.insert(diagnosis.notices.end(), found.notices.begin(), found.notices.end());
+  progress(0.9, "gain");
+
+  const Units units(model);
+  std::vector<DriveComponent> components = found.base;
+  components.insert(components.end(), found.chosen.begin(), found.chosen.end());
+  const Fitted before = fitted(fit, found.base);
+  const Fitted after = fitted(fit, components);
+  diagnosis.parameters_before = base_parameters(before, model, units);
+  diagnosis.parameters_after = base_parameters(after, model, units);
+  diagnosis.misfit.tests_before = tests_of(before, fit);
+  diagnosis.misfit.tests_after = tests_of(after, fit);
+  diagnosis.alarm_evidence = -std::log(options.false_alarm / std::max(1, found.candidates));
+
+  // What the model file asks for is reported as a parameter, what the runs ask for as an effect.
+  for (const DriveComponent& component : found.base)
+    for (EstimatedParameter& parameter : effect_parameters(component, after, model, units)) {
+      parameter.name = fmt::format("{}.{}", name_of(component.term), parameter.name);
+      diagnosis.parameters_after.push_back(std::move(parameter));
+    }
+  std::vector<std::string> words;
+  for (const DriveComponent& component : found.chosen) {
+    NamedEffect effect;
+    effect.name = name_of(component.term);
+    effect.location = Location::TorqueBalance;
+    effect.parameters = effect_parameters(component, after, model, units);
+    std::vector<DriveComponent> order;
+    for (const DriveComponent& other : components)
+      if (other.term != component.term) order.push_back(other);
+    const Fitted without = fitted(fit, order);
+    order.push_back(component);
+    const Regression with = regress(fit.columns(order), fit.target(), fit.blocks());
+    effect.log_likelihood_gain = 0.5 * effective_size(with.residuals) *
+                                 std::log(without.regression.residual_square / with.residual_square);
+    effect.p_value =
+        std::min(1.0, std::exp(-with.evidence_of_last(static_cast<int>(component.columns.size()))) *
+                          component.alternatives * found.candidates);
+    words.emplace_back(words_of(component.term));
+    diagnosis.effects.push_back(std::move(effect));
+  }
+
+  for (std::size_t s = 0; s < found.stages.size(); ++s) {
+    const DriveSearchResult::Stage& stage = found.stages[s];
+    for (std::size_t i = 0; i < stage.trials.size(); ++i) {
+      const DriveTrial& trial = stage.trials[i];
+      Rung rung;
+      rung.stage = static_cast<int>(s) + 1;
+      rung.name = name_of(trial.component.term);
+      rung.location = Location::TorqueBalance;
+      rung.predicted_gain = rung.gain = trial.gain;
+      rung.parameters = static_cast<int>(trial.component.columns.size());
+      rung.evidence = trial.evidence;
+      rung.chosen = stage.winner == i;
+      rung.rival = std::find(stage.rivals.begin(), stage.rivals.end(), i) != stage.rivals.end();
+      std::vector<DriveComponent> alone = found.base;
+      alone.push_back(trial.component);
+      rung.values = effect_parameters(trial.component, fitted(fit, alone), model, units);
+      diagnosis.ladder.push_back(std::move(rung));
+    }
+    if (!stage.winner || stage.rivals.empty()) continue;
+    std::vector<std::string> group{std::string(name_of(stage.trials[*stage.winner].component.term))};
+    for (const std::size_t rival : stage.rivals)
+      group.emplace_back(name_of(stage.trials[rival].component.term));
+    diagnosis.rivals.push_back(std::move(group));
+  }
+
+  const std::vector<DependenceTest> left = dependences(after, fit, options.false_alarm);
+  for (const DependenceTest& test : left.empty() ? dependences(before, fit, options.false_alarm) : left)
+    diagnosis.misfit.dependences.push_back(test.dependence);
+  if (!diagnosis.misfit.dependences.empty()) diagnosis.misfit.location = Location::TorqueBalance;
+
+  const double error_before = 100.0 * relative_error(before, fit);
+  const double error_after = 100.0 * relative_error(after, fit);
+  if (!diagnosis.effects.empty()) {
+    diagnosis.verdict = diagnosis.rivals.size() >= diagnosis.effects.size() ? DiagnosisVerdict::Ambiguous
+                                                                            : DiagnosisVerdict::Explained;
+    diagnosis.summary = fmt::format("{}: {}. Torque error {:.2f} % before, {:.2f} % after.", model.name,
+                                    listed(words), error_before, error_after);
+    if (!left.empty())
+      diagnosis.notices.push_back(
+          fmt::format("{:.0f} % of the squared error that is left still depends on {}",
+                      100.0 * left.front().share, left.front().dependence.variable));
+  } else if (!left.empty()) {
+    diagnosis.verdict = DiagnosisVerdict::Unexplained;
+    diagnosis.summary = fmt::format(
+        "{}: the torque balance does not fit and no known effect explains it; the error depends on {}.",
+        model.name, left.front().dependence.variable);
+  } else {
+    diagnosis.summary =
+        fmt::format("{}: the base model explains the runs; torque error {:.2f} %.", model.name, error_before);
+  }
+
+  for (const auto& [term, reason] : found.unseen)
+    diagnosis.unseen.push_back({std::string(name_of(term)), reason});
+  for (const UnseenReason& each : kNeverSeen)
+    diagnosis.unseen.push_back({std::string(each.name), std::string(each.reason)});
+
+  diagnosis.gain = heldout_gain(before, after, fit, judge, diagnosis.notices);
+  report_ripple(fit, judge, after, units, diagnosis);
+  if (options.views) diagnosis.views = views_of(fit, before, after);
+  diagnosis.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
+  progress(1.0, "done");
+  return diagnosis;
+}
+
+}  // namespace clampd
