@@ -103,9 +103,10 @@ ordered_json next_json(const std::optional<NextExperiment>& next) {
           {"force_N", numbers(run.force_N)}};
 }
 
-/// Null everywhere without held-out runs, so that a reader finds the same keys in every document.
-ordered_json gain_json(const std::optional<HeldOutGain>& gain) {
-  const bool known = gain && !gain->runs.empty();
+/// Null everywhere if nothing was held out, so that a reader finds the same keys in every document.
+ordered_json gain_json(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
+  const std::optional<HeldOutGain>& gain = diagnosis.gain;
+  const bool known = words::has_gain(diagnosis, subject);
   const auto figure = [&](double GainFigures::*of) -> ordered_json {
     return {{"before", known ? number_or_null(gain->before.*of) : ordered_json(nullptr)},
             {"after", known ? number_or_null(gain->after.*of) : ordered_json(nullptr)}};
@@ -140,7 +141,7 @@ ordered_json diagnosis_json(const Diagnosis& diagnosis, const DiagnosisSubject& 
                                      })},
           {"misfit", misfit_json(diagnosis.misfit)},
           {"next_experiment", next_json(diagnosis.next_experiment)},
-          {"gain", gain_json(diagnosis.gain)},
+          {"gain", gain_json(diagnosis, subject)},
           {"parameters_before", parameters_json(diagnosis.parameters_before)},
           {"parameters_after", parameters_json(diagnosis.parameters_after)},
           {"noise", subject.drive ? ordered_json(nullptr)

@@ -27,21 +27,27 @@ constexpr std::size_t kMostManoeuvres = 6;
 /// Of a stage after the first, which only adds to what the first one showed.
 constexpr std::size_t kMostLaterRungs = 8;
 
-/// Minus signs before digits as such.
+bool is_digit(char c) {
+  return c >= '0' && c <= '9';
+}
+
+/// Minus signs of numbers as such; hyphens stay.
 std::string typographic(const std::string& text) {
   std::string result;
   for (std::size_t i = 0; i < text.size(); ++i) {
-    const bool sign = text[i] == '-' && i + 1 < text.size() && text[i + 1] >= '0' && text[i + 1] <= '9' &&
-                      (i == 0 || text[i - 1] == ' ' || text[i - 1] == 'e');
+    const bool exponent = i >= 2 && text[i - 1] == 'e' && is_digit(text[i - 2]);
+    const bool sign = text[i] == '-' && i + 1 < text.size() && is_digit(text[i + 1]) &&
+                      (i == 0 || text[i - 1] == ' ' || exponent);
     result += sign ? "−" : std::string(1, text[i]);
   }
   return result;
 }
 
-/// With a capital.
+/// With a capital and a full stop.
 std::string sentence(std::string text) {
-  if (!text.empty()) text[0] = static_cast<char>(std::toupper(static_cast<unsigned char>(text[0])));
-  return text;
+  if (text.empty()) return text;
+  text[0] = static_cast<char>(std::toupper(static_cast<unsigned char>(text[0])));
+  return text + ".";
 }
 
 std::string number(double value, int decimals) {
@@ -100,17 +106,19 @@ std::string gain_in_words(const Diagnosis& diagnosis, const DiagnosisSubject& su
     add("that of the velocity", &GainFigures::simulated_rms_velocity_rad_s, 2, "rad/s rms");
     add("the misfit", &GainFigures::misfit, 2, "times the noise floor");
   }
-  return fmt::format("On {} that the model was not fitted to, {}.",
-                     plural(diagnosis.gain->runs.size(), "run"), words::enumeration(changes, "and"));
+  return fmt::format("On {}, {}.", words::heldout_runs(*diagnosis.gain), words::enumeration(changes, "and"));
 }
 
-std::string next_step(const Diagnosis& diagnosis) {
+std::string next_step(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   switch (diagnosis.verdict) {
     case DiagnosisVerdict::Adequate:
       return "None. What these runs could not have shown is listed below.";
     case DiagnosisVerdict::Explained:
-      return "Check the named cause where it is. Use the extended model (--save) until it is "
-             "mended: the parameters of the base model are biased by it.";
+      return fmt::format(
+          "Check the named cause where it is. The parameters of the base model are biased by it: until it is "
+          "mended, "
+          "use those of the extended model{}.",
+          subject.drive ? "" : " (--save writes it)");
     case DiagnosisVerdict::Ambiguous:
       return diagnosis.next_experiment
                  ? "Run the manoeuvre below (--next writes it) and diagnose again with its run added."
@@ -129,12 +137,12 @@ void add_result(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
   if (diagnosis.verdict == DiagnosisVerdict::Ambiguous)
     for (const std::vector<std::string>& group : diagnosis.rivals)
       for (const std::string& name : group)
-        entries.emplace_back("Possible: " + name, sentence(words::cause(name)) + ".");
+        entries.emplace_back("Possible: " + name, sentence(words::cause(name)));
   else
     for (const NamedEffect& effect : diagnosis.effects)
       entries.emplace_back("Cause: " + effect.name,
-                           typographic(fmt::format("{}: {}.", sentence(words::cause(effect.name)),
-                                                   words::quantities(effect.parameters))));
+                           typographic(fmt::format("{} {}", sentence(words::cause(effect.name)),
+                                                   sentence(words::quantities(effect.parameters)))));
   if (diagnosis.misfit.location && diagnosis.verdict != DiagnosisVerdict::Adequate) {
     std::string where(words::meaning(*diagnosis.misfit.location));
     std::vector<std::string> variables;
@@ -146,7 +154,7 @@ void add_result(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
   }
   if (is_extended(diagnosis) && !words::gain_rows(diagnosis, subject).empty())
     entries.emplace_back("Gain", gain_in_words(diagnosis, subject));
-  entries.emplace_back("Next step", next_step(diagnosis));
+  entries.emplace_back("Next step", next_step(diagnosis, subject));
   page.definitions(entries);
 }
 
@@ -183,15 +191,20 @@ void add_effects(Page& page, const Diagnosis& diagnosis) {
 // ---------------------------------------------------------------------------------------------------------
 
 Result<void> add_runs(Page& page, const Diagnosis& diagnosis) {
-  if (diagnosis.views.empty()) return {};
-  page.section("Measured and simulated");
-  page.paragraph(
-      "The simulation knows the recorded torque and the parameters. Of each manoeuvre the run with the "
-      "largest "
-      "misfit is shown.");
-  for (const RunView* view : pictures::representative(diagnosis.views, kMostManoeuvres))
-    if (const std::optional<Figure> picture = pictures::run_picture(*view, is_extended(diagnosis)))
-      if (auto drawn = page.figure(*picture, fmt::format("Run {}.", view->name)); !drawn) return drawn;
+  bool begun = false;
+  for (const RunView* view : pictures::representative(diagnosis.views, kMostManoeuvres)) {
+    const std::optional<Figure> picture = pictures::run_picture(*view, is_extended(diagnosis));
+    if (!picture) continue;
+    if (!begun) {
+      page.section("Measured and simulated");
+      page.paragraph(
+          "The simulation knows the recorded torque and the parameters. Of each manoeuvre the run with the "
+          "largest "
+          "misfit is shown.");
+      begun = true;
+    }
+    if (auto drawn = page.figure(*picture, fmt::format("Run {}.", view->name)); !drawn) return drawn;
+  }
   return {};
 }
 
@@ -302,9 +315,9 @@ void add_gain(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& su
   if (rows.empty()) return;
   page.section("The gain");
   const bool extended = is_extended(diagnosis);
-  Table table{.caption = fmt::format("On {} that the models were not fitted to: {}.",
-                                     plural(diagnosis.gain->runs.size(), "run"),
-                                     words::enumeration(diagnosis.gain->runs, "and")),
+  const std::vector<std::string>& runs = diagnosis.gain->runs;
+  Table table{.caption = fmt::format("On {}{}{}.", words::heldout_runs(*diagnosis.gain),
+                                     runs.empty() ? "" : ": ", words::enumeration(runs, "and")),
               .columns = {{""}, {"Base model", true}}};
   if (extended) table.columns.push_back({"Extended model", true});
   for (const words::GainRow& row : rows) {

@@ -58,7 +58,8 @@ void add_effects(Text& text, const Diagnosis& diagnosis) {
   if (diagnosis.effects.empty()) return;
   text.heading(diagnosis.verdict == DiagnosisVerdict::Ambiguous ? "Best candidate" : "Cause");
   for (const NamedEffect& effect : diagnosis.effects) {
-    text.add("  {}: {}\n", effect.name, words::cause(effect.name));
+    const std::string cause = words::cause(effect.name);
+    text.add("  {}{}{}\n", effect.name, cause.empty() ? "" : ": ", cause);
     for (const EstimatedParameter& parameter : effect.parameters)
       text.add("    {:<14} {}\n", parameter.name, words::quantity(parameter));
     text.add("    in {}; evidence {:.0f} nats; by chance: {}\n", words::place(effect.location),
@@ -91,8 +92,7 @@ void add_misfit(Text& text, const Diagnosis& diagnosis) {
 void add_gain(Text& text, const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   const std::vector<words::GainRow> rows = words::gain_rows(diagnosis, subject);
   if (rows.empty()) return;
-  const std::size_t runs = diagnosis.gain->runs.size();
-  text.heading(fmt::format("On {} run{} that the model was not fitted to", runs, runs == 1 ? "" : "s"));
+  text.heading("On " + words::heldout_runs(*diagnosis.gain));
   const bool extended = !diagnosis.effects.empty();
   text.add("  {:<48} {:>11}", "", extended ? "base model" : "");
   text.add("{}\n", extended ? fmt::format(" {:>11}", "extended") : "");

@@ -32,6 +32,7 @@ constexpr std::array<Prefix, 6> kPrefixes{{
 
 std::string typographic(std::string unit) {
   if (unit == "1/rev") return "per revolution";
+  if (unit.starts_with("1/")) unit.replace(0, 2, "per ");
   for (const auto& [plain, raised] : {std::pair<std::string_view, std::string_view>{"^2", "²"}, {"^3", "³"}})
     for (std::size_t at = 0; (at = unit.find(plain, at)) != std::string::npos;)
       unit.replace(at, plain.size(), raised);
@@ -163,7 +164,7 @@ std::vector<std::string> depends_on(const Misfit& misfit) {
 
 std::string cause(const std::string& effect) {
   const Effect* const known = find_effect(effect);
-  return known == nullptr ? effect : std::string(info_of(*known).cause);
+  return known == nullptr ? "" : std::string(info_of(*known).cause);
 }
 
 std::string headline(const Diagnosis& diagnosis) {
@@ -186,9 +187,19 @@ std::string headline(const Diagnosis& diagnosis) {
   return "";
 }
 
+bool has_gain(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
+  return diagnosis.gain && (subject.drive || !diagnosis.gain->runs.empty());
+}
+
+std::string heldout_runs(const HeldOutGain& gain) {
+  const std::size_t runs = gain.runs.size();
+  if (runs == 0) return "parts of the runs that the model was not fitted to";
+  return fmt::format("{} run{} that the model was not fitted to", runs, runs == 1 ? "" : "s");
+}
+
 std::vector<GainRow> gain_rows(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   std::vector<GainRow> rows;
-  if (!diagnosis.gain || diagnosis.gain->runs.empty()) return rows;
+  if (!has_gain(diagnosis, subject)) return rows;
   const GainFigures& before = diagnosis.gain->before;
   const GainFigures& after = diagnosis.gain->after;
   const auto add = [&](const std::string& what, double GainFigures::*figure, const auto& text,

@@ -40,7 +40,7 @@ inline constexpr double kSignificant = 0.01;
 /// The variables that the misfit depends on significantly, strongest first, each once.
 std::vector<std::string> depends_on(const Misfit& misfit);
 
-/// The effect's cause as the catalogue words it; the name itself if it does not list it.
+/// The effect's cause as the catalogue words it; empty if it does not list it.
 std::string cause(const std::string& effect);
 
 /// What the verdict is, for a heading: "the cause is cogging".
@@ -53,7 +53,13 @@ struct GainRow {
   bool better;
 };
 
-/// The figures that these runs have; none without held-out runs.
+/// Whether there are figures from what was left out of the fit: whole runs, of a drive also parts of one.
+bool has_gain(const Diagnosis& diagnosis, const DiagnosisSubject& subject);
+
+/// "2 runs that the model was not fitted to"
+std::string heldout_runs(const HeldOutGain& gain);
+
+/// The figures that these runs have; none without has_gain().
 std::vector<GainRow> gain_rows(const Diagnosis& diagnosis, const DiagnosisSubject& subject);
 
 /// A parameter of the model before and after the effects joined it.
