@@ -134,15 +134,14 @@ std::string next_step(const Diagnosis& diagnosis, const DiagnosisSubject& subjec
 void add_result(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   page.section("Result");
   std::vector<std::pair<std::string, std::string>> entries{{"Verdict", verdict_in_words(diagnosis)}};
-  if (diagnosis.verdict == DiagnosisVerdict::Ambiguous)
-    for (const std::vector<std::string>& group : diagnosis.rivals)
-      for (const std::string& name : group)
-        entries.emplace_back("Possible: " + name, sentence(words::cause(name)));
-  else
-    for (const NamedEffect& effect : diagnosis.effects)
+  for (const NamedEffect& effect : diagnosis.effects)
+    if (!words::has_rivals(diagnosis, effect.name))
       entries.emplace_back("Cause: " + effect.name,
                            typographic(fmt::format("{} {}", sentence(words::cause(effect.name)),
                                                    sentence(words::quantities(effect.parameters)))));
+  for (const std::vector<std::string>& group : diagnosis.rivals)
+    for (const std::string& name : group)
+      entries.emplace_back("Possible: " + name, sentence(words::cause(name)));
   if (diagnosis.misfit.location && diagnosis.verdict != DiagnosisVerdict::Adequate) {
     std::string where(words::meaning(*diagnosis.misfit.location));
     std::vector<std::string> variables;

@@ -55,15 +55,19 @@ std::string upper_case(std::string_view word) {
 }
 
 void add_effects(Text& text, const Diagnosis& diagnosis) {
-  if (diagnosis.effects.empty()) return;
-  text.heading(diagnosis.verdict == DiagnosisVerdict::Ambiguous ? "Best candidate" : "Cause");
-  for (const NamedEffect& effect : diagnosis.effects) {
-    const std::string cause = words::cause(effect.name);
-    text.add("  {}{}{}\n", effect.name, cause.empty() ? "" : ": ", cause);
-    for (const EstimatedParameter& parameter : effect.parameters)
-      text.add("    {:<14} {}\n", parameter.name, words::quantity(parameter));
-    text.add("    in {}; evidence {:.0f} nats; by chance: {}\n", words::place(effect.location),
-             effect.log_likelihood_gain, words::chance(effect.p_value));
+  for (const bool rivals : {false, true}) {
+    bool begun = false;
+    for (const NamedEffect& effect : diagnosis.effects) {
+      if (words::has_rivals(diagnosis, effect.name) != rivals) continue;
+      if (!begun) text.heading(rivals ? "Best of the rivals" : "Cause");
+      begun = true;
+      const std::string cause = words::cause(effect.name);
+      text.add("  {}{}{}\n", effect.name, cause.empty() ? "" : ": ", cause);
+      for (const EstimatedParameter& parameter : effect.parameters)
+        text.add("    {:<14} {}\n", parameter.name, words::quantity(parameter));
+      text.add("    in {}; evidence {:.0f} nats; by chance: {}\n", words::place(effect.location),
+               effect.log_likelihood_gain, words::chance(effect.p_value));
+    }
   }
 }
 

@@ -167,18 +167,26 @@ std::string cause(const std::string& effect) {
   return known == nullptr ? "" : std::string(info_of(*known).cause);
 }
 
+bool has_rivals(const Diagnosis& diagnosis, const std::string& effect) {
+  return std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(),
+                     [&](const std::vector<std::string>& group) {
+                       return std::find(group.begin(), group.end(), effect) != group.end();
+                     });
+}
+
 std::string headline(const Diagnosis& diagnosis) {
-  std::vector<std::string> names;
-  for (const NamedEffect& effect : diagnosis.effects) names.push_back(effect.name);
+  std::vector<std::string> causes;
+  for (const NamedEffect& effect : diagnosis.effects)
+    if (!has_rivals(diagnosis, effect.name)) causes.push_back(effect.name);
   switch (diagnosis.verdict) {
     case DiagnosisVerdict::Adequate:
       return "the model explains the runs";
     case DiagnosisVerdict::Explained:
-      return fmt::format("the cause is {}", enumeration(names, "and"));
-    case DiagnosisVerdict::Ambiguous: {
-      if (diagnosis.rivals.empty()) return "more than one cause is possible";
-      return fmt::format("the cause is {}", enumeration(diagnosis.rivals.front(), "or"));
-    }
+      return fmt::format("the cause is {}", enumeration(causes, "and"));
+    case DiagnosisVerdict::Ambiguous:
+      for (const std::vector<std::string>& group : diagnosis.rivals)
+        causes.push_back(enumeration(group, "or"));
+      return fmt::format("the cause is {}", enumeration(causes, "and"));
     case DiagnosisVerdict::Unexplained:
       return diagnosis.misfit.location
                  ? fmt::format("an unknown cause in {}", place(*diagnosis.misfit.location))
