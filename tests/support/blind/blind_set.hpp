@@ -30,8 +30,8 @@ struct Request {
   Kind kind = Kind::Single;
   Generator generator = Generator::Independent;
   std::uint64_t seed = 1;
-  std::string effect;    ///< the (first) one to hide; empty: drawn
-  bool reduced = false;  ///< a random part of the runs, down to one
+  std::string effect = {};  ///< the (first) one to hide; empty: drawn
+  bool reduced = false;     ///< a random part of the runs, down to one
 };
 
 /// An effect as it was drawn.

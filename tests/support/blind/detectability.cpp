@@ -3,6 +3,7 @@
 #include <cmath>
 #include <limits>
 
+#include "clampd/identify/extended_fit.hpp"
 #include "clampd/identify/prediction_error.hpp"
 #include "src/identify/linear_run.hpp"
 
@@ -29,6 +30,26 @@ double detectability_nats(const BlindSet& set) {
     for (std::size_t k = 0; k < run.size(); ++k)
       nats += 0.5 * linear.rows[k].residual.dot(linear.gains[k].weight * linear.rows[k].residual);
   }
+  return nats;
+}
+
+double nats_left(const BlindSet& set, const ExtendedParameters& model) {
+  ExtendedEstimate estimate = fit_base(set.noise_free, set.answer.brake);
+  if (!estimate.possible) return std::numeric_limits<double>::quiet_NaN();
+  estimate.parameters.base = model.base;
+  for (const EffectValues& effect : model.effects) estimate = with_effect(estimate, effect);
+  estimate.noise = set.answer.noise;
+  std::vector<FitRun> runs = fit_runs(set.noise_free);
+  for (const EffectValues& effect : model.effects) move_by(delays_of(effect), runs);
+  ExtendedFitOptions options;
+  options.estimate_noise = false;
+  estimate = fit_extended(runs, estimate, options);
+  if (!estimate.possible) return std::numeric_limits<double>::quiet_NaN();
+  double nats = 0.0;
+  for (const FilteredRun& run : filter_runs(runs, estimate))
+    for (const std::vector<double>* channel : {&run.force, &run.velocity})
+      for (const double innovation : *channel)
+        if (std::isfinite(innovation)) nats += 0.5 * innovation * innovation;
   return nats;
 }
 

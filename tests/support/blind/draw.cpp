@@ -106,7 +106,7 @@ HiddenEffect ratio_error(Draw& d) {
                 [=](Physics& p) { p.ratio_error = value; });
 }
 HiddenEffect presliding(Draw& d) {
-  const double travel = d.log_uniform(0.0005, 0.08);
+  const double travel = d.log_uniform(0.0001, 0.05);
   const auto law = static_cast<Bristles>(d.integer(0, 2));
   const double damping = d.uniform(0.1, 0.8);
   static constexpr std::array kForms = {"Dahl", "LuGre", "elasto-plastic"};
@@ -245,7 +245,7 @@ HiddenEffect second_resonance(Draw& d) {
 }
 HiddenEffect torque_saturation(Draw& d) {
   const bool soft = d.chance(0.5);
-  const double limit = soft ? d.log_uniform(4.0, 25.0) : d.uniform(1.6, 2.5);
+  const double limit = soft ? d.log_uniform(4.0, 25.0) : d.uniform(1.2, 2.1);
   return effect(soft ? "soft" : "hard", {{"limit_Nm", limit}}, {"torque-reading", "torque-balance"},
                 [=](Physics& p) {
                   p.torque_limit_Nm = limit;
@@ -379,10 +379,10 @@ constexpr std::array kStationRanges = {
     StationRange{"cogging", 0.003, 0.06, false},
     StationRange{"inertia-error", 0.0007, 0.014, true},
     StationRange{"ratio-error", 0.0013, 0.026, true},
-    StationRange{"presliding", 0.0005, 0.08, false},
+    StationRange{"presliding", 0.0001, 0.04, false},
     StationRange{"friction-drift", 0.0015, 0.03, true},
     StationRange{"stiffness-hysteresis", 0.0013, 0.027, false},
-    StationRange{"pad-damping", 0.06, 1.3, false},
+    StationRange{"pad-damping", 0.02, 0.8, false},
     StationRange{"pad-relaxation", 0.0016, 0.035, false},
     StationRange{"backlash", 0.012, 0.25, false},
     StationRange{"stiffness-shape", 4e-4, 8e-3, false},
