@@ -9,6 +9,7 @@
 #include <Eigen/Dense>
 #include <boost/math/distributions/chi_squared.hpp>
 
+#include "src/diagnose/drive_ripple.hpp"
 #include "src/diagnose/drive_search.hpp"
 
 namespace clampd {
@@ -116,8 +117,7 @@ Fitted fitted(const DriveFit& fit, std::vector<DriveComponent> components) {
   result.columns = fit.columns(result.layout.components);
   result.regression = regress(result.columns, fit.target(), fit.blocks());
   // A model that fits one part of the range better than another is known no better than they agree.
-  if (fit.by_conditions())
-    result.over_cells = regress(result.columns, fit.target(), fit.cells()).clustered;
+  if (fit.by_conditions()) result.over_cells = regress(result.columns, fit.target(), fit.cells()).clustered;
   return result;
 }
 
@@ -320,7 +320,8 @@ std::vector<EstimatedParameter> effect_parameters(const DriveComponent& componen
           const Eigen::Index index = first + static_cast<Eigen::Index>(j);
           const double value = model.regression.coefficients[index];
           square += value * value * 2.0 / static_cast<double>(each);
-          noise += value * value * model.variance_of(Eigen::VectorXd::Unit(model.layout.count, index)) * 4.0 / static_cast<double>(each * each);
+          noise += value * value * model.variance_of(Eigen::VectorXd::Unit(model.layout.count, index)) * 4.0 /
+                   static_cast<double>(each * each);
         }
         const double amplitude = std::sqrt(square);
         parameters.push_back({"amplitude" + number, units.torque, amplitude,
@@ -430,6 +431,36 @@ std::vector<RunView> views_of(const DriveFit& fit, const Fitted& before, const F
   return views;
 }
 
+/// While a drive slides, a difference of dry friction by direction and a constant torque are the same thing.
+/// Where viscous friction is what makes the difference certain, that twin of its constant part is named all
+/// the same.
+void report_twin(const DriveSearchResult& found, const Fitted& after, const DriveFit& fit, const Units& units,
+                 Diagnosis& diagnosis) {
+  for (const std::vector<std::string>& group : diagnosis.rivals)
+    for (const std::string& name : group)
+      if (name == name_of(DriveTerm::TorqueOffset)) return;
+  const Eigen::Index at = after.layout.at(DriveTerm::FrictionAsymmetry);
+  const bool chosen = std::any_of(
+      found.chosen.begin(), found.chosen.end(),
+      [](const DriveComponent& component) { return component.term == DriveTerm::FrictionAsymmetry; });
+  if (!chosen || after.layout.at(DriveTerm::TorqueOffset) >= 0) return;
+  const EstimatedParameter offset = after.combined("offset", units.torque, {{at, 1.0}});
+  std::vector<DriveComponent> alike = found.base;
+  alike.push_back(shapes_of(DriveTerm::TorqueOffset, fit.range(), false).front());
+  const Fitted symmetric = fitted(fit, alike);
+  const EstimatedParameter alone =
+      symmetric.combined("offset", units.torque, {{symmetric.layout.at(DriveTerm::TorqueOffset), 1.0}});
+  diagnosis.rivals.push_back(
+      {std::string(name_of(DriveTerm::FrictionAsymmetry)), std::string(name_of(DriveTerm::TorqueOffset))});
+  diagnosis.notices.push_back(
+      fmt::format("the viscous friction differs by direction for certain; the half difference of the dry "
+                  "friction, {:.3g} +- "
+                  "{:.2g} {}, may as well be a constant torque (with friction alike in both directions it "
+                  "would be {:.3g} +- "
+                  "{:.2g} {})",
+                  offset.value, offset.sd, offset.unit, alone.value, alone.sd, alone.unit));
+}
+
 /// How evenly each run moves in spite of the ripple: a drive that compensates it moves evenly, while its
 /// torque carries the ripple.
 void report_ripple(const DriveFit& fit, const DriveData* heldout, const Fitted& after, const Units& units,
@@ -459,6 +490,8 @@ void report_ripple(const DriveFit& fit, const DriveData* heldout, const Fitted& 
                      100.0 * unevenness, torque, units.torque)});
     return unevenness;
   };
+  // A speed that changes on purpose says nothing.
+  if (fit.both_directions()) return;
   const double fitted_runs = over(fit.data(), "unevenness of the motion");
   if (heldout == nullptr || !fit.data().position_absolute) return;
   const double others = over(*heldout, "unevenness of the motion held out");
@@ -467,6 +500,44 @@ void report_ripple(const DriveFit& fit, const DriveData* heldout, const Fitted& 
         "the held-out runs move {:.1f} times more evenly against the same ripple: there the drive "
         "compensates it",
         fitted_runs / others));
+}
+
+void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candidates, Diagnosis& diagnosis,
+                       std::vector<std::string>& words) {
+  const std::string name(name_of(DriveTerm::Cogging));
+  if (!ripple.tested) {
+    diagnosis.unseen.push_back({name, ripple.reason});
+    return;
+  }
+  Rung rung;
+  rung.name = name;
+  rung.location = Location::TorqueBalance;
+  rung.predicted_gain = rung.gain = ripple.gain;
+  rung.parameters = static_cast<int>(2 * ripple.orders.size());
+  rung.evidence = ripple.evidence;
+  rung.chosen = !ripple.orders.empty();
+  int number = 0;
+  for (const SteadyRipple::Order& order : ripple.orders) {
+    const std::string suffix = fmt::format("-{}", ++number);
+    rung.values.push_back({"order" + suffix, units.order, order.order, kNaN});
+    if (!std::isnan(order.forward))
+      rung.values.push_back({"amplitude-forward" + suffix, units.torque, order.forward, order.forward_sd});
+    if (!std::isnan(order.backward))
+      rung.values.push_back({"amplitude-backward" + suffix, units.torque, order.backward, order.backward_sd});
+    diagnosis.notices.push_back(
+        fmt::format("within the steady runs, order {} makes {:.0f} % of the torque's variance", order.order,
+                    100.0 * order.share));
+  }
+  if (rung.chosen) {
+    NamedEffect effect;
+    effect.name = name;
+    effect.parameters = rung.values;
+    effect.log_likelihood_gain = ripple.gain;
+    effect.p_value = std::min(1.0, candidates * std::exp(-ripple.evidence));
+    diagnosis.effects.push_back(std::move(effect));
+    words.emplace_back(words_of(DriveTerm::Cogging));
+  }
+  diagnosis.ladder.push_back(std::move(rung));
 }
 
 std::string listed(const std::vector<std::string>& words) {
@@ -546,6 +617,10 @@ Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& mo
     diagnosis.effects.push_back(std::move(effect));
   }
 
+  if (model.steady && model.part(DriveTerm::Cogging).use == PartUse::Candidate)
+    add_steady_ripple(steady_ripple(runs, model, diagnosis.alarm_evidence), units, found.candidates,
+                      diagnosis, words);
+
   for (std::size_t s = 0; s < found.stages.size(); ++s) {
     const DriveSearchResult::Stage& stage = found.stages[s];
     for (std::size_t i = 0; i < stage.trials.size(); ++i) {
@@ -579,8 +654,8 @@ Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& mo
   const double error_before = 100.0 * relative_error(before, fit);
   const double error_after = 100.0 * relative_error(after, fit);
   if (!diagnosis.effects.empty()) {
-    diagnosis.verdict = diagnosis.rivals.size() >= diagnosis.effects.size() ? DiagnosisVerdict::Ambiguous
-                                                                            : DiagnosisVerdict::Explained;
+    diagnosis.verdict = diagnosis.rivals.empty() ? DiagnosisVerdict::Explained : DiagnosisVerdict::Ambiguous;
+    report_twin(found, after, fit, units, diagnosis);
     diagnosis.summary = fmt::format("{}: {}. Torque error {:.2f} % before, {:.2f} % after.", model.name,
                                     listed(words), error_before, error_after);
     if (!left.empty())

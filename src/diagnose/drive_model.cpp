@@ -3,6 +3,7 @@
 #include <cmath>
 #include <initializer_list>
 #include <optional>
+#include <utility>
 
 #include <fmt/format.h>
 #include <toml++/toml.h>
@@ -137,10 +138,13 @@ class ModelReader {
   }
 
   void read_data(const toml::table& data, DriveModel& model) {
-    known(data, "[data]", {"steady", "cut_off_Hz"});
-    if (const toml::node* steady = data.get("steady")) {
-      if (!steady->is_boolean()) refuse(*steady, "steady must be true or false");
-      model.steady = steady->value_or(false);
+    known(data, "[data]", {"steady", "torque_held", "cut_off_Hz"});
+    for (const auto& [key, target] :
+         {std::pair{"steady", &model.steady}, {"torque_held", &model.torque_held}}) {
+      const toml::node* node = data.get(key);
+      if (node == nullptr) continue;
+      if (!node->is_boolean()) refuse(*node, fmt::format("{} must be true or false", key));
+      *target = node->value_or(false);
     }
     if (const auto cut_off = number(data, "cut_off_Hz", true)) model.cut_off_Hz = *cut_off;
   }

@@ -213,11 +213,17 @@ void fill(DriveRows& rows) {
   rows.sign = rows.filtered(rows.motion.sign);
 }
 
-DriveRows rows_of(const Run& run, double cut_off_Hz) {
+/// Around each sample: half of the time the command before it still acts.
+void center_held(std::vector<double>& torque) {
+  for (std::size_t i = torque.size() - 1; i > 0; --i) torque[i] = 0.5 * (torque[i] + torque[i - 1]);
+}
+
+DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz) {
   constexpr double kMostStandstill = 0.1;
   DriveRows rows;
   rows.name = run.name;
   rows.motion = motion_of(run, cut_off_Hz);
+  if (model.torque_held) center_held(rows.motion.torque);
   const double sd_s = gaussian_sd_s(cut_off_Hz);
   const double margin_s = 3.0 * sd_s + 1.0 / (3.0 * cut_off_Hz);
   const double step_s = 0.4 / cut_off_Hz;
@@ -284,7 +290,7 @@ Result<DriveData> prepare(std::span<const Run> runs, const DriveModel& model, do
     }
     data.cut_off_Hz = cut_off_Hz;
     for (const Run& run : runs)
-      data.runs.push_back(rows_of(run, std::min(cut_off_Hz, 0.2 / median_step(run.time_s))));
+      data.runs.push_back(rows_of(run, model, std::min(cut_off_Hz, 0.2 / median_step(run.time_s))));
   }
   for (const DriveRows& run : data.runs)
     if (run.size() == 0) data.notices.push_back(fmt::format("{}: the drive does not move in it", run.name));

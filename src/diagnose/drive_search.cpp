@@ -2,12 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <map>
 
-#include <boost/math/distributions/students_t.hpp>
 #include <fmt/format.h>
 #include <Eigen/Dense>
+#include <boost/math/distributions/students_t.hpp>
 
 namespace clampd::drive {
 namespace {
@@ -73,7 +72,8 @@ bool independent(const Eigen::MatrixXd& base, const Eigen::MatrixXd& added) {
 
 /// Effects that can only add to friction.
 bool one_sided(DriveTerm term) {
-  return term == DriveTerm::QuadraticDrag || term == DriveTerm::FrictionShape || term == DriveTerm::Presliding;
+  return term == DriveTerm::QuadraticDrag || term == DriveTerm::FrictionShape ||
+         term == DriveTerm::Presliding;
 }
 
 class Search {
@@ -162,7 +162,9 @@ class Search {
       if (!fit_.both_directions() &&
           (term == DriveTerm::TorqueOffset || term == DriveTerm::FrictionAsymmetry)) {
         unseen(term, "the drive moves in one direction only");
-      } else if (model_.steady && (term == DriveTerm::Cogging || by_place || term == DriveTerm::Presliding)) {
+      } else if (model_.steady && term == DriveTerm::Cogging) {
+        continue;  // within the runs: steady_ripple()
+      } else if (model_.steady && (by_place || term == DriveTerm::Presliding)) {
         unseen(term, "a median over a steady run says nothing about position");
       } else if (by_place && !fit_.data().position_absolute) {
         unseen(term, "position is integrated from velocity, so that its zero is not known");
@@ -177,7 +179,6 @@ class Search {
 
   DriveTrial judge(const DriveComponent& component, const Eigen::MatrixXd& base, const Regression& without) {
     DriveTrial trial{component};
-    fprintf(stderr,"%s\n",kDriveTermNames[(size_t)component.term].data());
     const Eigen::MatrixXd added = DriveFit::columns({component}, fit_.data());
     const Regression with = regress(joined(base, added), fit_.target(), fit_.blocks());
     const double alternatives = std::log(component.alternatives);
@@ -234,11 +235,11 @@ class Search {
       ++judged;
     }
     if (judged < 3) return &folds != &fit_.blocks() && holds_over(base, extended, fit_.blocks());
-    fprintf(stderr,"   folds %d share %.4f t %.2f\n",judged,sum/before,sum/std::sqrt(std::max(0.0, square - sum * sum / judged) * judged / (judged - 1.0)));
     const double variance = std::max(0.0, square - sum * sum / judged) * judged / (judged - 1.0);
     const boost::math::students_t_distribution<double> student(judged - 1.0);
     return sum > kLeastHeldOutShare * before &&
-           sum > boost::math::quantile(boost::math::complement(student, kChanceOfFolds)) * std::sqrt(variance);
+           sum >
+               boost::math::quantile(boost::math::complement(student, kChanceOfFolds)) * std::sqrt(variance);
   }
 
   DriveSearchResult::Stage try_all(const std::vector<DriveTerm>& candidates) {

@@ -56,6 +56,8 @@ struct DriveModel {
   /// "N m", "N" or "A": what `torque` is in. With A, every parameter is that per torque constant.
   std::string torque_unit = "N m";
   ColumnMap columns;
+  /// The torque is a command that acts from its row until the next one, not a reading at its row's time.
+  bool torque_held = false;
   /// Every run goes at one steady speed and counts as one point of a friction map, its medians.
   bool steady = false;
   /// Both sides of the torque balance are filtered at this; NaN: chosen from the torque's own spectrum.
@@ -80,7 +82,8 @@ struct DriveModel {
 ///   inertia = "estimate"
 ///   torque-offset = "candidate"          # effects: "candidate" (default), "estimate", "off"
 ///   [data]
-///   steady = true
+///   steady = true                        # each file one steady speed
+///   torque_held = true                   # a command that acts until the next row, not a reading
 ///   cut_off_Hz = 40.0
 ///
 /// Errors name file, line, column and key.
