@@ -231,6 +231,27 @@ std::vector<DependenceTest> dependences(const Fitted& model, const DriveFit& fit
   return found;
 }
 
+/// Effects that leave more than they explain are not the cause.
+void reject_if_more_is_left(const Fitted& before, const DriveFit& fit, double false_alarm,
+                            DriveSearchResult& found, std::vector<std::string>& notices) {
+  if (found.chosen.empty()) return;
+  std::vector<DriveComponent> components = found.base;
+  components.insert(components.end(), found.chosen.begin(), found.chosen.end());
+  const Fitted after = fitted(fit, components);
+  const double explained = before.regression.residual_square - after.regression.residual_square;
+  const std::vector<DependenceTest> left = dependences(after, fit, false_alarm);
+  if (left.empty() || left.front().share * after.regression.residual_square < explained) return;
+  std::vector<std::string_view> names;
+  for (const DriveComponent& component : found.chosen) names.push_back(name_of(component.term));
+  notices.push_back(fmt::format("{} would explain less than what would still depend on {}",
+                                fmt::join(names, ", "), left.front().dependence.variable));
+  found.chosen.clear();
+  for (DriveSearchResult::Stage& stage : found.stages) {
+    stage.winner.reset();
+    stage.rivals.clear();
+  }
+}
+
 std::vector<EstimatedParameter> base_parameters(const Fitted& model, const DriveModel& drive,
                                                 const Units& units) {
   std::vector<EstimatedParameter> parameters;
@@ -279,7 +300,10 @@ std::vector<EstimatedParameter> effect_parameters(const DriveComponent& componen
       return one("offset", units.torque);
     case DriveTerm::FrictionAsymmetry: {
       const bool own_offset = component.columns.size() == 2;
-      const Eigen::Index constant = own_offset ? at : model.layout.at(DriveTerm::TorqueOffset);
+      const Eigen::Index load = model.layout.at(DriveTerm::LoadPosition);
+      const Eigen::Index constant = own_offset  ? at
+                                    : load >= 0 ? -1
+                                                : model.layout.at(DriveTerm::TorqueOffset);
       const Eigen::Index slope = own_offset ? at + 1 : at;
       const Eigen::Index viscous = model.layout.at(DriveTerm::Viscous);
       const Eigen::Index coulomb = model.layout.at(DriveTerm::Coulomb);
@@ -333,9 +357,14 @@ std::vector<EstimatedParameter> effect_parameters(const DriveComponent& componen
       return parameters;
     }
     case DriveTerm::FrictionPosition:
-    case DriveTerm::LoadPosition:
-      return {model.combined("slope", units.torque, {{at, 1.0}}),
-              model.combined("curvature", units.torque, {{at + 1, 1.0}})};
+    case DriveTerm::LoadPosition: {
+      // Legendre polynomials of the position over the range of the runs.
+      auto parameters = one("slope", units.torque);
+      parameters.push_back(model.combined("curvature", units.torque, {{at + 1, 1.0}}));
+      if (component.columns.size() == 3)
+        parameters.push_back(model.combined("mean", units.torque, {{at + 2, 1.0}}));
+      return parameters;
+    }
     case DriveTerm::FrictionDrift:
       return one("change-per-run", units.torque);
   }
@@ -443,7 +472,9 @@ void report_twin(const DriveSearchResult& found, const Fitted& after, const Driv
   const bool chosen = std::any_of(
       found.chosen.begin(), found.chosen.end(),
       [](const DriveComponent& component) { return component.term == DriveTerm::FrictionAsymmetry; });
-  if (!chosen || after.layout.at(DriveTerm::TorqueOffset) >= 0) return;
+  if (!chosen || after.layout.at(DriveTerm::TorqueOffset) >= 0 ||
+      after.layout.at(DriveTerm::LoadPosition) >= 0)
+    return;
   const EstimatedParameter offset = after.combined("offset", units.torque, {{at, 1.0}});
   std::vector<DriveComponent> alike = found.base;
   alike.push_back(shapes_of(DriveTerm::TorqueOffset, fit.range(), false).front());
@@ -573,16 +604,17 @@ Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& mo
         fmt::format("both sides of the torque balance are filtered at {:.3g} Hz", data->cut_off_Hz));
   const DriveFit fit(*data, model);
   progress(0.3, "effects");
-  const DriveSearchResult found = search(fit, model, judge, {options.false_alarm, options.most_effects});
+  DriveSearchResult found = search(fit, model, judge, {options.false_alarm, options.most_effects});
   if (found.base.empty() && found.chosen.empty())
     return failure(fmt::format("{}: the model has no part to estimate", model.file));
   diagnosis.notices.insert(diagnosis.notices.end(), found.notices.begin(), found.notices.end());
   progress(0.9, "gain");
 
   const Units units(model);
+  const Fitted before = fitted(fit, found.base);
+  reject_if_more_is_left(before, fit, options.false_alarm, found, diagnosis.notices);
   std::vector<DriveComponent> components = found.base;
   components.insert(components.end(), found.chosen.begin(), found.chosen.end());
-  const Fitted before = fitted(fit, found.base);
   const Fitted after = fitted(fit, components);
   diagnosis.parameters_before = base_parameters(before, model, units);
   diagnosis.parameters_after = base_parameters(after, model, units);

@@ -15,6 +15,8 @@ constexpr double kLeastShareOfItsOwn = 1e-3;
 constexpr double kRivalNats = 5.0;
 /// An effect must take at least this share off the squared error of what was held out.
 constexpr double kLeastHeldOutShare = 0.01;
+/// Of what an effect gains where it helps, it may lose this share elsewhere.
+constexpr double kMostLost = 0.2;
 /// That folds agree by chance that an effect helps.
 constexpr double kChanceOfFolds = 0.05;
 constexpr std::size_t kMostOrders = 6;
@@ -95,7 +97,8 @@ class Search {
       const DriveComponent winner = stage.trials[*stage.winner].component;
       result_.chosen.push_back(winner);
       std::erase(candidates, winner.term);
-      if (winner.term == DriveTerm::FrictionAsymmetry) std::erase(candidates, DriveTerm::TorqueOffset);
+      if (winner.term == DriveTerm::FrictionAsymmetry || winner.term == DriveTerm::LoadPosition)
+        std::erase(candidates, DriveTerm::TorqueOffset);  // its constant is theirs
       find_rivals(stage);
       result_.stages.push_back(std::move(stage));
       for (const DriveTerm dropped : drop_what_is_not_needed()) candidates.push_back(dropped);
@@ -117,6 +120,10 @@ class Search {
     return false;
   }
 
+  bool has_constant() const {
+    return has(DriveTerm::TorqueOffset) || has(DriveTerm::FrictionAsymmetry) || has(DriveTerm::LoadPosition);
+  }
+
   void unseen(DriveTerm term, std::string reason) { result_.unseen.emplace_back(term, std::move(reason)); }
 
   void base_model() {
@@ -129,7 +136,7 @@ class Search {
                "it can be a candidate, not part of the base model: its orders are not known beforehand");
         continue;
       }
-      const auto shapes = shapes_of(term, fit_.range(), has(DriveTerm::TorqueOffset));
+      const auto shapes = shapes_of(term, fit_.range(), has_constant());
       const DriveComponent* best = nullptr;
       double least = std::numeric_limits<double>::infinity();
       for (const DriveComponent& shape : shapes) {
@@ -225,6 +232,7 @@ class Search {
     double before = 0.0;
     double sum = 0.0;
     double square = 0.0;
+    double lost = 0.0;
     int judged = 0;
     for (std::size_t f = 0; f < with.heldout_square.size(); ++f) {
       if (!with.judged[f] || !without.judged[f]) continue;
@@ -232,14 +240,17 @@ class Search {
       before += without.heldout_square[f];
       sum += less;
       square += less * less;
+      lost += std::max(0.0, -less);
       ++judged;
     }
     if (judged < 3) return &folds != &fit_.blocks() && holds_over(base, extended, fit_.blocks());
+    if (!(sum > kLeastHeldOutShare * before)) return false;
+    // Either hardly any part is predicted worse, or the parts agree: an effect may act in few of them.
+    if (lost < kMostLost * (sum + lost)) return true;
     const double variance = std::max(0.0, square - sum * sum / judged) * judged / (judged - 1.0);
     const boost::math::students_t_distribution<double> student(judged - 1.0);
-    return sum > kLeastHeldOutShare * before &&
-           sum >
-               boost::math::quantile(boost::math::complement(student, kChanceOfFolds)) * std::sqrt(variance);
+    return sum >
+           boost::math::quantile(boost::math::complement(student, kChanceOfFolds)) * std::sqrt(variance);
   }
 
   DriveSearchResult::Stage try_all(const std::vector<DriveTerm>& candidates) {
@@ -251,7 +262,7 @@ class Search {
         if (auto trial = scan_orders(base, without)) stage.trials.push_back(*trial);
         continue;
       }
-      std::vector<DriveComponent> shapes = shapes_of(term, fit_.range(), has(DriveTerm::TorqueOffset));
+      std::vector<DriveComponent> shapes = shapes_of(term, fit_.range(), has_constant());
       std::optional<DriveTrial> best;
       for (DriveComponent& shape : shapes) {
         shape.alternatives = static_cast<double>(shapes.size());

@@ -46,7 +46,7 @@ DriveRange range_of(const DriveData& data) {
   return range;
 }
 
-std::vector<DriveComponent> shapes_of(DriveTerm term, const DriveRange& range, bool offset_in_model) {
+std::vector<DriveComponent> shapes_of(DriveTerm term, const DriveRange& range, bool constant_in_model) {
   const auto of = [&](std::vector<DriveColumn> columns, std::vector<double> shape = {}) {
     return DriveComponent{term, std::move(columns), std::move(shape)};
   };
@@ -67,7 +67,7 @@ std::vector<DriveComponent> shapes_of(DriveTerm term, const DriveRange& range, b
     case DriveTerm::FrictionAsymmetry: {
       const auto speed =
           filtered_column([](const DriveMotion& m, std::size_t i) { return std::abs(m.velocity[i]); });
-      if (offset_in_model) return {of({speed})};
+      if (constant_in_model) return {of({speed})};
       return {of({one, speed})};
     }
     case DriveTerm::QuadraticDrag:
@@ -98,10 +98,15 @@ std::vector<DriveComponent> shapes_of(DriveTerm term, const DriveRange& range, b
            filtered_column([place](const DriveMotion& m, std::size_t i) {
              return m.sign[i] * (1.5 * place(m, i) * place(m, i) - 0.5);
            })})};
-    case DriveTerm::LoadPosition:
-      return {of({filtered_column(place), filtered_column([place](const DriveMotion& m, std::size_t i) {
-                    return 1.5 * place(m, i) * place(m, i) - 0.5;
-                  })})};
+    case DriveTerm::LoadPosition: {
+      std::vector<DriveColumn> columns{filtered_column(place),
+                                       filtered_column([place](const DriveMotion& m, std::size_t i) {
+                                         return 1.5 * place(m, i) * place(m, i) - 0.5;
+                                       })};
+      // Where a spring is slack is not known.
+      if (!constant_in_model) columns.push_back(one);
+      return {of(std::move(columns))};
+    }
     case DriveTerm::FrictionDrift: {
       const double duration_s = std::max(range.duration_s, 1e-12);
       return {of({[duration_s](const DriveRows& rows, int run) -> Eigen::VectorXd {

@@ -29,8 +29,9 @@ struct DriveRange {
 };
 DriveRange range_of(const DriveData& data);
 
-/// The term in each of the shapes that are worth trying. None for Cogging, whose orders are scanned.
-std::vector<DriveComponent> shapes_of(DriveTerm term, const DriveRange& range, bool offset_in_model);
+/// The term in each of the shapes that are worth trying. What has a constant part leaves it out if another
+/// one is in the model. None for Cogging, whose orders are scanned.
+std::vector<DriveComponent> shapes_of(DriveTerm term, const DriveRange& range, bool constant_in_model);
 
 /// Cosine and sine of the position times the order (1/rev or 1/m). Where the position is integrated from
 /// velocity its zero is another one in each run, so that each run has coefficients of its own.

@@ -6,6 +6,7 @@
 #include <numbers>
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 
 #include "clampd/base/assert.hpp"
@@ -46,11 +47,11 @@ class ExtendedFit {
   enum { NUM_RESIDUALS = Eigen::Dynamic, NUM_PARAMETERS = Eigen::Dynamic };
 
   ExtendedFit(std::span<const FitRun> runs, const ExtendedEstimate& start,
-              const std::array<bool, kParameterCount>& held)
+              const std::array<bool, kParameterCount>& held, bool hold_effects = false)
       : runs_(runs),
         model_(start.parameters),
         shape_(start.parameters),
-        unknowns_(model_, shape_.places(), held) {
+        unknowns_(model_, shape_.places(), held, hold_effects) {
     parameters_ = unknowns_.count();
     locals_ = 2 + static_cast<int>(shape_.free_states().size());
     centres_ = start.initial_states;
@@ -288,7 +289,8 @@ class ExtendedFit {
 
   /// Directions that the data do not show at all are left alone.
   static Eigen::VectorXd solve(const Eigen::MatrixXd& information, const Eigen::VectorXd& gradient) {
-    Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
+    if (gradient.size() == 0) return gradient;
+    const Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
     Eigen::MatrixXd scaled = information.cwiseQuotient(scale * scale.transpose());
     scaled.diagonal().array() += 1e-10;
     return scaled.ldlt().solve(gradient.cwiseQuotient(scale)).cwiseQuotient(scale);
@@ -327,6 +329,7 @@ Eigen::MatrixXd covariance_of(const ExtendedFit& fit, const ExtendedParameters& 
   const Eigen::MatrixXd scaled = joint.information.cwiseQuotient(scale * scale.transpose());
   const int all = fit.all_parameters();
   Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(all, all);
+  if (fit.parameters() == 0) return covariance;
   const Eigen::LDLT<Eigen::MatrixXd> factor(scaled);
   const bool determined = factor.info() == Eigen::Success && factor.vectorD().minCoeff() > 1e-10;
   if (!determined) return Eigen::MatrixXd::Constant(all, all, std::numeric_limits<double>::quiet_NaN());
@@ -337,6 +340,26 @@ Eigen::MatrixXd covariance_of(const ExtendedFit& fit, const ExtendedParameters& 
           inverse(i, j) / (scale[i] * scale[j]) * fit.unknowns().slope(model, i) *
           fit.unknowns().slope(model, j);
   return covariance;
+}
+
+/// Also where the information is singular: what it does not tell has an infinite deviation.
+Eigen::VectorXd deviations_of(const ExtendedFit& fit, const ExtendedParameters& model) {
+  const Eigen::MatrixXd information = fit.joint().information;
+  const Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(
+      information.cwiseQuotient(scale * scale.transpose()));
+  Eigen::VectorXd deviations = Eigen::VectorXd::Zero(fit.all_parameters());
+  for (int i = 0; i < fit.parameters(); ++i) {
+    double variance = 0.0;
+    for (Eigen::Index j = 0; j < solver.eigenvalues().size(); ++j) {
+      const double share = solver.eigenvectors()(i, j) * solver.eigenvectors()(i, j);
+      if (share > 1e-12) variance += share / std::max(solver.eigenvalues()[j], 1e-14);
+    }
+    deviations[fit.unknowns().parameter(i)] =
+        information(i, i) > 0.0 ? std::sqrt(variance) / scale[i] * std::abs(fit.unknowns().slope(model, i))
+                                : std::numeric_limits<double>::infinity();
+  }
+  return deviations;
 }
 
 }  // namespace
@@ -408,7 +431,9 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
   estimate.iterations = 0;
   estimate.log_likelihood = -std::numeric_limits<double>::infinity();
   if (!within_bounds(start.parameters)) return estimate;
-  ExtendedFit fit(runs, start, options.held);
+  std::array<bool, kParameterCount> held = options.held;
+  if (options.hold_parameters) held.fill(true);
+  ExtendedFit fit(runs, start, held, options.hold_parameters);
   MinimiserOf<ExtendedFit> minimise(fit, MinimiserOf<ExtendedFit>::Kinks::Accept);
   Eigen::VectorXd point = fit.start();
   Variances variances = variances_of(start.noise);
@@ -506,7 +531,8 @@ ExtendedEstimate without_effect(const ExtendedEstimate& estimate, std::size_t in
 }
 
 StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate) {
-  StepForecast result{-std::numeric_limits<double>::infinity(), -std::numeric_limits<double>::infinity(), {}};
+  StepForecast result{
+      -std::numeric_limits<double>::infinity(), -std::numeric_limits<double>::infinity(), {}, {}};
   if (!within_bounds(estimate.parameters)) return result;
   ExtendedFit fit(runs, estimate, {});
   const Eigen::VectorXd point = fit.start();
@@ -516,6 +542,7 @@ StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& esti
   Eigen::VectorXd step;
   fit.gauss_newton_step(step);
   result.step.setZero(fit.all_parameters());
+  result.sd = deviations_of(fit, estimate.parameters);
   for (int i = 0; i < fit.parameters(); ++i)
     result.step[fit.unknowns().parameter(i)] = step[i] * fit.unknowns().slope(estimate.parameters, i);
   return result;
@@ -585,7 +612,8 @@ SignalScores score_signals(std::span<const FitRun> runs, const ExtendedEstimate&
                            const SignalColumns& signals, int blocks) {
   ExtendedFit fit(runs, estimate, {});
   const Eigen::Index columns = signals.rows.empty() ? 0 : signals.rows.front().cols();
-  SignalScores scores{Eigen::VectorXd::Zero(columns), Eigen::MatrixXd::Zero(columns, columns)};
+  SignalScores scores{Eigen::VectorXd::Zero(columns), Eigen::MatrixXd::Zero(columns, columns),
+                      Eigen::VectorXd::Zero(columns)};
   if (!fit.renew(fit.start(), variances_of(estimate.noise))) return scores;
   const int p = fit.parameters();
   Eigen::MatrixXd with_parameters = Eigen::MatrixXd::Zero(p, columns);

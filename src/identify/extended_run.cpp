@@ -80,7 +80,7 @@ double value_at(const ExtendedParameters& model, const ExtendedBrake::Place& pla
 }  // namespace
 
 Unknowns::Unknowns(const ExtendedParameters& model, std::span<const ExtendedBrake::Place> places,
-                   const std::array<bool, kParameterCount>& held) {
+                   const std::array<bool, kParameterCount>& held, bool hold_effects) {
   for (std::size_t i = 0; i < places.size(); ++i) {
     const ExtendedBrake::Place& place = places[i];
     if (place.effect < 0) {
@@ -88,7 +88,7 @@ Unknowns::Unknowns(const ExtendedParameters& model, std::span<const ExtendedBrak
       if (held[parameter]) continue;
       free_.push_back({static_cast<int>(i), place, positive_by_nature(place, nullptr),
                        kParameterTable[parameter].nominal});
-    } else {
+    } else if (!hold_effects) {
       const EffectParameter& parameter =
           info_of(*model.effects[static_cast<std::size_t>(place.effect)].effect)
               .parameters[static_cast<std::size_t>(place.parameter)];

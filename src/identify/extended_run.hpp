@@ -15,7 +15,7 @@ namespace clampd::identify {
 class Unknowns {
  public:
   Unknowns(const ExtendedParameters& model, std::span<const ExtendedBrake::Place> places,
-           const std::array<bool, kParameterCount>& held);
+           const std::array<bool, kParameterCount>& held, bool hold_effects);
 
   int count() const { return static_cast<int>(free_.size()); }
   /// Index of unknown i among ExtendedBrake's parameters.

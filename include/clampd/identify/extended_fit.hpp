@@ -51,6 +51,7 @@ struct ExtendedEstimate {
 struct ExtendedFitOptions {
   int max_iterations = 40;
   bool estimate_noise = true;
+  bool hold_parameters = false;  ///< the runs' initial states are all that moves
   std::array<bool, kParameterCount> held{};
 };
 
@@ -74,6 +75,8 @@ struct StepForecast {
   double log_likelihood;
   double after_step;
   Eigen::VectorXd step;
+  /// Standard deviations of the parameters; infinite where the data do not tell.
+  Eigen::VectorXd sd;
 };
 StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate);
 
@@ -103,6 +106,7 @@ struct SignalColumns {
 struct SignalScores {
   Eigen::VectorXd score;
   Eigen::MatrixXd information;
+  Eigen::VectorXd alone;  ///< the information's diagonal if nothing followed
 };
 /// `blocks`: information is computed within blocks of so many neighbouring columns only (0: everywhere).
 SignalScores score_signals(std::span<const FitRun> runs, const ExtendedEstimate& estimate,

@@ -16,7 +16,7 @@ class Backlash final : public EquationsOf<Backlash> {
                                   .parameters = {{.name = "play",
                                                   .unit = "rad",
                                                   .description = "motor angle lost at a reversal",
-                                                  .lower = -0.001,
+                                                  .lower = 0,
                                                   .upper = 10,
                                                   .scale = 0.1}},
                                   .states = 1};

@@ -16,7 +16,7 @@ class PadDamping final : public EquationsOf<PadDamping> {
                                   .parameters = {{.name = "damping",
                                                   .unit = "N s/rad",
                                                   .description = "force per velocity in contact",
-                                                  .lower = -1,
+                                                  .lower = 0,
                                                   .upper = 200,
                                                   .scale = 1}}};
     return kInfo;

@@ -16,7 +16,7 @@ class PadRelaxation final : public EquationsOf<PadRelaxation> {
                                   .parameters = {{.name = "share",
                                                   .unit = "1",
                                                   .description = "of the force that relaxes",
-                                                  .lower = -0.02,
+                                                  .lower = 0,
                                                   .upper = 0.7,
                                                   .scale = 0.02},
                                                  {.name = "time_constant",

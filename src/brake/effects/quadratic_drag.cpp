@@ -16,7 +16,7 @@ class QuadraticDrag final : public EquationsOf<QuadraticDrag> {
                                   .parameters = {{.name = "coefficient",
                                                   .unit = "N m s^2/rad^2",
                                                   .description = "c of c v |v|",
-                                                  .lower = -1e-05,
+                                                  .lower = 0,
                                                   .upper = 0.001,
                                                   .scale = 1e-07}}};
     return kInfo;

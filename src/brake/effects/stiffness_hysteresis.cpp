@@ -16,7 +16,7 @@ class StiffnessHysteresis final : public EquationsOf<StiffnessHysteresis> {
                                   .parameters = {{.name = "share",
                                                   .unit = "1",
                                                   .description = "of the force that is missing on release",
-                                                  .lower = -0.02,
+                                                  .lower = 0,
                                                   .upper = 0.7,
                                                   .scale = 0.02},
                                                  {.name = "travel",

@@ -16,7 +16,7 @@ class TorqueLag final : public EquationsOf<TorqueLag> {
                                   .parameters = {{.name = "time_constant",
                                                   .unit = "s",
                                                   .description = "of the torque behind its reading",
-                                                  .lower = -0.0002,
+                                                  .lower = 0,
                                                   .upper = 0.05,
                                                   .scale = 0.0005}},
                                   .states = 1};

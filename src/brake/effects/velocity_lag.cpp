@@ -16,7 +16,7 @@ class VelocityLag final : public EquationsOf<VelocityLag> {
                                   .parameters = {{.name = "time_constant",
                                                   .unit = "s",
                                                   .description = "of the filter",
-                                                  .lower = -0.0002,
+                                                  .lower = 0,
                                                   .upper = 0.1,
                                                   .scale = 0.0005}},
                                   .states = 1};

@@ -1,0 +1,24 @@
+#pragma once
+
+#include <span>
+
+#include <Eigen/Core>
+
+#include "clampd/identify/extended_fit.hpp"
+
+namespace clampd {
+
+/// What runs say about changes d of a model's parameters (those of ExtendedBrake, SI) from an estimate, the
+/// runs' initial states following: half the squared innovations, each over its variance, are
+/// half_squares - gradient . d + 1/2 d . information d.
+struct ParameterScores {
+  bool possible = false;  ///< the filter stays bounded and the estimate within its bounds
+  double half_squares = 0.0;
+  Eigen::VectorXd gradient;
+  Eigen::MatrixXd information;
+};
+
+/// By the extended Kalman filter of fit_extended(); the noise is the estimate's.
+ParameterScores score_parameters(std::span<const FitRun> runs, const ExtendedEstimate& estimate);
+
+}  // namespace clampd

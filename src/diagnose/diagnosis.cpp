@@ -1,0 +1,262 @@
+#include "clampd/diagnose/diagnosis.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <thread>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "src/diagnose/evidence.hpp"
+#include "src/diagnose/gain.hpp"
+#include "src/diagnose/residuals.hpp"
+#include "src/diagnose/selection.hpp"
+#include "src/diagnose/words.hpp"
+
+namespace clampd {
+
+using namespace diagnosing;
+
+namespace {
+
+/// Of the tests of the residuals, that one of them speaks by chance.
+constexpr double kFalseResidual = 0.003;
+/// What no candidate explains must be worth so many nats before it counts, and so large a share of what the
+/// named effects explain: a real effect never has quite the candidate's form.
+constexpr double kLeastUnexplained_nats = 8.0;
+constexpr double kUnexplainedShare = 0.15;
+/// An effect whose strength these runs know no better than this, over the change that matters, was not seen.
+constexpr double kBlind = 0.5;
+constexpr std::size_t kMostRivals = 3;
+constexpr std::size_t kFewestRows = 30;
+
+Result<void> check(std::span<const Run> runs) {
+  if (runs.empty()) return failure("no run to diagnose");
+  for (const Run& run : runs) {
+    if (run.force_N.size() != run.size() || run.velocity_rad_s.size() != run.size())
+      return failure(
+          fmt::format("run {}: a diagnosis of the brake needs readings of force and velocity; describe a "
+                      "drive without them "
+                      "by a model file",
+                      run.name));
+    if (run.size() < kFewestRows)
+      return failure(fmt::format("run {}: {} rows are too few; a diagnosis needs at least {}", run.name,
+                                 run.size(), kFewestRows));
+    for (const auto* channel : {&run.time_s, &run.torque_Nm, &run.force_N, &run.velocity_rad_s})
+      if (!std::all_of(channel->begin(), channel->end(), [](double value) { return std::isfinite(value); }))
+        return failure(fmt::format("run {}: a reading is not a finite number", run.name));
+    for (std::size_t k = 1; k < run.size(); ++k)
+      if (steps_in(run.time_s[k] - run.time_s[k - 1]) == 0)
+        return failure(
+            fmt::format("run {}: from {} s to {} s time does not increase or leaps by more than {} s; split "
+                        "the run there",
+                        run.name, run.time_s[k - 1], run.time_s[k], kLongestGap_s));
+  }
+  return {};
+}
+
+std::vector<EstimatedParameter> base_parameters(const ExtendedEstimate& estimate) {
+  std::vector<EstimatedParameter> list;
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const auto at = static_cast<Eigen::Index>(i);
+    list.push_back({std::string(kParameterTable[i].name), std::string(kParameterTable[i].unit),
+                    estimate.parameters.base.theta[at],
+                    estimate.covariance.rows() > at ? std::sqrt(estimate.covariance(at, at)) : NAN});
+  }
+  return list;
+}
+
+std::vector<EstimatedParameter> effect_parameters(const ExtendedEstimate& estimate, std::size_t effect) {
+  std::vector<EstimatedParameter> list;
+  auto at = static_cast<Eigen::Index>(kParameterCount);
+  Eigen::Index free_state = 2;
+  for (std::size_t e = 0; e < effect; ++e) {
+    for (const EffectParameter& parameter : info_of(*estimate.parameters.effects[e].effect).parameters)
+      at += parameter.role != EffectParameter::Role::Choice;
+    free_state += info_of(*estimate.parameters.effects[e].effect).free_states;
+  }
+  const EffectValues& values = estimate.parameters.effects[effect];
+  const EffectInfo& info = info_of(*values.effect);
+  for (std::size_t i = 0; i < info.parameters.size(); ++i) {
+    const bool chosen = info.parameters[i].role == EffectParameter::Role::Choice;
+    list.push_back(
+        {std::string(info.parameters[i].name), std::string(info.parameters[i].unit), values.values[i],
+         chosen || estimate.covariance.rows() <= at ? NAN : std::sqrt(estimate.covariance(at, at))});
+    at += !chosen;
+  }
+  if (info.free_states > 0) {
+    // Its amplitude over all runs: the root of the mean square of the two phases.
+    double square = 0.0;
+    for (const Eigen::VectorXd& initial : estimate.initial_states)
+      square += initial.segment(free_state, info.free_states).squaredNorm() /
+                static_cast<double>(estimate.initial_states.size());
+    list.push_back({"amplitude", "N", std::sqrt(square), NAN});
+  }
+  return list;
+}
+
+Rung rung_of(const Candidate& candidate, int stage) {
+  Rung rung;
+  rung.stage = stage;
+  rung.name = std::string(candidate.name());
+  rung.location = info_of(*candidate.effect).location;
+  rung.predicted_gain = candidate.predicted_gain;
+  rung.parameters = static_cast<int>(candidate.degrees);
+  rung.evidence = candidate.is_fitted ? candidate.evidence : candidate.predicted_evidence;
+  if (candidate.is_fitted) {
+    rung.gain = candidate.gain;
+    if (candidate.fitted.possible())
+      rung.values = effect_parameters(candidate.fitted.estimate,
+                                      candidate.fitted.estimate.parameters.effects.size() - 1);
+  }
+  return rung;
+}
+
+class Progress {
+ public:
+  explicit Progress(const DiagnoseOptions& options) : options_(options) {}
+  void operator()(double share, const std::string& words) const {
+    if (options_.progress) options_.progress(share, words);
+  }
+
+ private:
+  const DiagnoseOptions& options_;
+};
+
+}  // namespace
+
+std::string_view to_string(DiagnosisVerdict verdict) noexcept {
+  switch (verdict) {
+    case DiagnosisVerdict::Adequate:
+      return "adequate";
+    case DiagnosisVerdict::Explained:
+      return "explained";
+    case DiagnosisVerdict::Ambiguous:
+      return "ambiguous";
+    case DiagnosisVerdict::Unexplained:
+      return "unexplained";
+  }
+  return "?";
+}
+
+Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& options) {
+  const auto began = std::chrono::steady_clock::now();
+  if (const auto valid = check(runs); !valid) return tl::unexpected(valid.error());
+  if (const auto valid = options.heldout.empty() ? Result<void>{} : check(options.heldout); !valid)
+    return tl::unexpected(valid.error());
+  const int threads = options.threads > 0
+                          ? options.threads
+                          : static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  const Progress progress(options);
+  progress(0.0, "fitting the base model");
+
+  Hypothesis base;
+  base.runs = fit_runs(runs);
+  base.estimate = fit_base(runs, options.nominal);
+  if (!base.possible())
+    return failure(
+        "the base model cannot follow these runs at all: check columns and units, and that J and N are those "
+        "of "
+        "this brake");
+  progress(0.12, "looking at what is left");
+  const Residuals before = examine(base, threads);
+
+  SelectionOptions selecting;
+  selecting.threads = threads;
+  selecting.most_effects = options.most_effects;
+  selecting.false_alarm = options.false_alarm;
+  selecting.progress = options.progress;
+  Selection selection = select_effects(runs, base, selecting);
+  const Residuals after = selection.effects.empty() ? before : examine(selection.chosen, threads);
+
+  Diagnosis diagnosis;
+  const double explained = selection.chosen.log_likelihood() - base.log_likelihood();
+  const bool something_left =
+      after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
+  const bool much_left = something_left && after.nats > kUnexplainedShare * explained;
+  bool ambiguous = false;
+  for (std::size_t e = 0; e < selection.effects.size(); ++e) {
+    const Selected& selected = selection.effects[e];
+    NamedEffect named;
+    named.name = selected.name;
+    named.location = info_of(*find_effect(selected.name)).location;
+    named.parameters = effect_parameters(selection.chosen.estimate, e);
+    named.log_likelihood_gain = selected.gain;
+    named.p_value = p_value_of(selected.evidence, static_cast<double>(effects().size()));
+    diagnosis.effects.push_back(std::move(named));
+    if (selected.rivals.empty()) continue;
+    ambiguous = true;
+    std::vector<std::string> group{selected.name};
+    std::vector<Diagnosis::Rival> models{
+        {selected.name, selection.chosen.estimate.parameters, selection.chosen.estimate.covariance}};
+    for (const Candidate& rival : selected.rivals) {
+      if (group.size() == kMostRivals) break;
+      group.emplace_back(rival.name());
+      models.push_back(
+          {std::string(rival.name()), rival.fitted.estimate.parameters, rival.fitted.estimate.covariance});
+    }
+    diagnosis.rivals.push_back(std::move(group));
+    diagnosis.rival_models.push_back(std::move(models));
+  }
+  diagnosis.verdict = much_left                   ? DiagnosisVerdict::Unexplained
+                      : selection.effects.empty() ? DiagnosisVerdict::Adequate
+                      : ambiguous                 ? DiagnosisVerdict::Ambiguous
+                                                  : DiagnosisVerdict::Explained;
+
+  for (std::size_t stage = 0; stage < selection.stages.size(); ++stage)
+    for (const Candidate& candidate : selection.stages[stage]) {
+      Rung rung = rung_of(candidate, static_cast<int>(stage) + 1);
+      rung.chosen = stage < selection.effects.size() &&
+                    std::any_of(selection.effects.begin(), selection.effects.end(),
+                                [&](const Selected& selected) { return selected.name == rung.name; }) &&
+                    &candidate == &selection.stages[stage].front();
+      rung.rival = std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(), [&](const auto& group) {
+        return stage == 0 && std::find(group.begin(), group.end(), rung.name) != group.end();
+      });
+      diagnosis.ladder.push_back(std::move(rung));
+    }
+
+  diagnosis.misfit.tests_before = before.tests;
+  if (!selection.effects.empty()) diagnosis.misfit.tests_after = after.tests;
+  const Residuals& told = much_left ? after : before;
+  for (const Dependence& dependence : told.dependences)
+    if (dependence.p_value < kFalseResidual) diagnosis.misfit.dependences.push_back(dependence);
+  if (diagnosis.verdict != DiagnosisVerdict::Adequate) {
+    if (!much_left && !diagnosis.effects.empty())
+      diagnosis.misfit.location = diagnosis.effects.front().location;
+    else if (!told.dependences.empty())
+      diagnosis.misfit.location = told.dependences.front().location;
+  }
+
+  // What these runs could not have shown, seen from the final model where that explains them.
+  if (!selection.stages.empty())
+    for (const Candidate& candidate : selection.stages.front())
+      if (candidate.blindness > kBlind && !candidate.is_fitted)
+        diagnosis.unseen.push_back(
+            {std::string(candidate.name()), unseen_words(*candidate.effect, candidate.blindness)});
+
+  diagnosis.model = selection.chosen.estimate.parameters;
+  diagnosis.noise_before = base.estimate.noise;
+  diagnosis.noise_after = selection.chosen.estimate.noise;
+  diagnosis.parameters_before = base_parameters(base.estimate);
+  diagnosis.parameters_after = base_parameters(selection.chosen.estimate);
+  progress(0.96, "judging by runs held out");
+  diagnosis.gain = held_out_gain(runs, options.heldout, base, selection.chosen, diagnosis.notices);
+  if (options.views) diagnosis.views = views_of(runs, base, selection.chosen);
+  if (something_left && !much_left && !selection.effects.empty())
+    diagnosis.notices.push_back(
+        fmt::format("a little is left that these effects do not explain ({:.0f} of {:.0f} nats): they may "
+                    "have another form "
+                    "than assumed",
+                    after.nats, explained));
+  if (runs.size() == 1)
+    diagnosis.notices.push_back(
+        "one run only: nothing that changes from run to run can be seen, and nothing could be held out");
+  diagnosis.summary = summary_words(diagnosis);
+  diagnosis.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
+  progress(1.0, "done");
+  return diagnosis;
+}
+
+}  // namespace clampd

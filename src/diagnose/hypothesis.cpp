@@ -1,0 +1,280 @@
+#include "src/diagnose/hypothesis.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+
+#include "src/diagnose/evidence.hpp"
+
+namespace clampd::diagnosing {
+
+namespace {
+
+using Role = EffectParameter::Role;
+
+/// A start that promises less than this share of the best one is not worth a fit.
+constexpr double kWorthAFit = 0.3;
+/// A fit that brings less than this share of what was promised got stuck.
+constexpr double kStuck = 0.85;
+/// From here on (N m) the torque noise of a hypothesis is so large that it may have swallowed the effect.
+constexpr double kSuspiciousTorque_Nm = 0.02;
+constexpr double kModestTorque_Nm = 0.008;
+constexpr int kMostFits = 4;
+
+/// Scan of a periodic torque over the motor angle: finer than what one run over the whole travel resolves.
+constexpr double kScanFirst = 0.4;
+constexpr double kScanLast = 40.0;
+constexpr double kScanStep = 0.12;
+constexpr std::size_t kPeaks = 3;
+
+std::vector<std::vector<double>> combinations(const Effect& effect, std::span<const Run> recorded,
+                                              bool all_choices) {
+  const auto& parameters = info_of(effect).parameters;
+  std::vector<std::vector<double>> list{{}};
+  for (std::size_t i = 0; i < parameters.size(); ++i) {
+    std::vector<double> values{parameters[i].neutral};
+    if (parameters[i].role != Role::Strength) values = starts_of(effect, i, recorded);
+    // A number of whole samples is searched by the fit; which channel it is, the first look tells.
+    if (parameters[i].role == Role::Choice && parameters[i].name == "whole" && !all_choices) values.resize(1);
+    std::vector<std::vector<double>> longer;
+    for (const auto& begun : list)
+      for (const double value : values) {
+        longer.push_back(begun);
+        longer.back().push_back(value);
+      }
+    list = std::move(longer);
+  }
+  return list;
+}
+
+double choices_of(const Effect& effect) {
+  double count = 1.0;
+  for (const EffectParameter& parameter : info_of(effect).parameters)
+    if (parameter.role == Role::Choice)
+      count *= std::max<double>(1.0, static_cast<double>(parameter.starts.size()));
+  return count;
+}
+
+double degrees_of(const Effect& effect, std::size_t runs) {
+  const EffectInfo& info = info_of(effect);
+  double degrees = static_cast<double>(info.free_states) * static_cast<double>(runs);
+  for (const EffectParameter& parameter : info.parameters)
+    if (parameter.role != Role::Choice) degrees += 1.0;
+  return degrees;
+}
+
+/// The effect at the end of the step that the forecast proposes, within its bounds; what it promises is void
+/// where a one-sided strength would have to go below its neutral value.
+Start start_from(const Effect& effect, const std::vector<double>& values, const Hypothesis& hypothesis,
+                 const StepForecast& forecast) {
+  const auto& parameters = info_of(effect).parameters;
+  Start start{{&effect, values}, forecast.after_step - hypothesis.estimate.log_likelihood};
+  Eigen::Index at = forecast.step.size();
+  for (std::size_t i = parameters.size(); i-- > 0;) {
+    const EffectParameter& parameter = parameters[i];
+    if (parameter.role == Role::Choice) continue;
+    const double move = forecast.step[--at];
+    if (parameter.role == Role::Strength) {
+      if (values[i] + move < parameter.lower && parameter.lower == parameter.neutral)
+        start.predicted_gain = 0.0;
+      const double width = parameter.upper - parameter.lower;
+      start.values.values[i] = std::clamp(
+          values[i] + move, parameter.lower + 1e-4 * width * (parameter.lower == parameter.neutral),
+          parameter.upper - 0.02 * width);
+    } else if (info_of(effect).free_states == 0 && parameters.size() == 1) {
+      // Nothing but a shape: the step moves it.
+      const double moved = parameter.logarithmic
+                               ? values[i] * std::exp(std::clamp(move / values[i], -0.7, 0.7))
+                               : values[i] + move;
+      start.values.values[i] = std::clamp(moved, parameter.lower, parameter.upper);
+    }
+  }
+  return start;
+}
+
+/// What `hypothesis` makes of the readings that a model with these delays cannot use.
+double likelihood_of_unusable(const EffectDelays& delays, const Hypothesis& hypothesis) {
+  if (delays.force == 0 && delays.velocity == 0 && delays.torque == 0) return 0.0;
+  std::vector<FitRun> fewer = hypothesis.runs;
+  drop_unusable(delays, fewer);
+  return hypothesis.estimate.log_likelihood - forecast(fewer, hypothesis.estimate).log_likelihood;
+}
+
+Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double torque_noise_Nm) {
+  Hypothesis extended = hypothesis;
+  extended.estimate = with_effect(hypothesis.estimate, start.values);
+  extended.estimate.noise.torque_Nm = torque_noise_Nm;
+  const EffectDelays delays = delays_of(start.values);
+  extended.unused_log_likelihood += likelihood_of_unusable(delays, hypothesis);
+  move_by(delays, extended.runs);
+  extended.estimate = fit_extended(extended.runs, extended.estimate);
+  return extended;
+}
+
+void keep_if_better(Hypothesis&& other, Hypothesis& kept) {
+  if (!other.possible()) return;
+  if (!kept.possible() || other.log_likelihood() > kept.log_likelihood()) kept = std::move(other);
+}
+
+/// Points of a run where an effect that is a torque over the angle is looked for.
+void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
+  const std::vector<FilteredRun> filtered = filter_runs(hypothesis.runs, hypothesis.estimate);
+  if (filtered.empty()) return;
+  const auto orders = static_cast<Eigen::Index>((kScanLast - kScanFirst) / kScanStep) + 1;
+  SignalColumns signals{SignalColumns::Kind::Torque, {}};
+  for (const FilteredRun& run : filtered) {
+    Eigen::MatrixXd rows(static_cast<Eigen::Index>(run.position_rad.size()), 2 * orders);
+    for (Eigen::Index k = 0; k < rows.rows(); ++k) {
+      const double position = run.position_rad[static_cast<std::size_t>(k)];
+      for (Eigen::Index i = 0; i < orders; ++i) {
+        const double angle = (kScanFirst + kScanStep * static_cast<double>(i)) * position;
+        rows(k, 2 * i) = -std::sin(angle);
+        rows(k, 2 * i + 1) = -std::cos(angle);
+      }
+    }
+    signals.rows.push_back(std::move(rows));
+  }
+  const SignalScores scores = score_signals(hypothesis.runs, hypothesis.estimate, signals, 2);
+  std::vector<Start> found;
+  for (Eigen::Index i = 0; i < orders; ++i) {
+    const Eigen::Matrix2d information = scores.information.block<2, 2>(2 * i, 2 * i);
+    const Eigen::Vector2d score = scores.score.segment<2>(2 * i);
+    if (!(information.determinant() > 1e-9 * information.trace() * information.trace())) continue;
+    const Eigen::Vector2d amplitude = information.ldlt().solve(score);
+    const EffectInfo& info = info_of(*candidate.effect);
+    Start start{
+        {candidate.effect, {amplitude[0], amplitude[1], kScanFirst + kScanStep * static_cast<double>(i)}},
+        0.5 * score.dot(amplitude)};
+    for (std::size_t p = 0; p < 2; ++p)
+      start.values.values[p] =
+          std::clamp(start.values.values[p], 0.9 * info.parameters[p].lower, 0.9 * info.parameters[p].upper);
+    found.push_back(start);
+  }
+  std::sort(found.begin(), found.end(),
+            [](const Start& a, const Start& b) { return a.predicted_gain > b.predicted_gain; });
+  for (const Start& start : found) {
+    const bool new_peak =
+        std::none_of(candidate.starts.begin(), candidate.starts.end(), [&](const Start& other) {
+          return std::abs(other.values.values[2] - start.values.values[2]) < 4.0 * kScanStep;
+        });
+    if (new_peak) candidate.starts.push_back(start);
+    if (candidate.starts.size() == kPeaks) break;
+  }
+  // Neighbours of the grid see the same: so many of them are different questions.
+  candidate.alternatives = 0.5 * static_cast<double>(orders);
+}
+
+}  // namespace
+
+Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<const Run> recorded) {
+  const EffectInfo& info = info_of(effect);
+  Candidate candidate;
+  candidate.effect = &effect;
+  candidate.degrees = degrees_of(effect, hypothesis.runs.size());
+  candidate.alternatives = choices_of(effect);
+  if (info.name == "cogging") {
+    add_peaks(hypothesis, candidate);
+  } else {
+    for (const std::vector<double>& values : combinations(effect, recorded, false)) {
+      const ExtendedEstimate extended = with_effect(hypothesis.estimate, {&effect, values});
+      const StepForecast seen = forecast(hypothesis.runs, extended);
+      if (seen.step.size() == 0) continue;
+      candidate.starts.push_back(start_from(effect, values, hypothesis, seen));
+      // Strengths come last or before shapes; the best known one counts.
+      Eigen::Index at = seen.sd.size();
+      double blindness = 0.0;
+      for (std::size_t i = info.parameters.size(); i-- > 0;) {
+        if (info.parameters[i].role == Role::Choice) continue;
+        --at;
+        if (info.parameters[i].role == Role::Strength)
+          blindness = std::max(blindness, seen.sd[at] / info.parameters[i].scale);
+      }
+      candidate.blindness =
+          candidate.starts.size() == 1 ? blindness : std::min(candidate.blindness, blindness);
+    }
+    std::sort(candidate.starts.begin(), candidate.starts.end(),
+              [](const Start& a, const Start& b) { return a.predicted_gain > b.predicted_gain; });
+  }
+  if (!candidate.starts.empty()) candidate.predicted_gain = candidate.starts.front().predicted_gain;
+  candidate.predicted_evidence =
+      evidence_of(candidate.predicted_gain, candidate.degrees, candidate.alternatives);
+  return candidate;
+}
+
+void fit(Candidate& candidate, const Hypothesis& hypothesis) {
+  candidate.is_fitted = true;
+  const double noise = hypothesis.estimate.noise.torque_Nm;
+  Hypothesis best;
+  int fits = 0;
+  const auto gain = [&] {
+    return best.possible() ? best.log_likelihood() - hypothesis.log_likelihood()
+                           : -std::numeric_limits<double>::infinity();
+  };
+  const auto attempt = [&](const Start& start, double torque_noise_Nm) {
+    ++fits;
+    keep_if_better(fitted_from(start, hypothesis, torque_noise_Nm), best);
+  };
+  for (const Start& start : candidate.starts) {
+    if (fits > 0 && (fits >= kMostFits || start.predicted_gain < kWorthAFit * candidate.predicted_gain))
+      break;
+    const bool other_shape = info_of(*candidate.effect).parameters.size() > 1;
+    if (fits > 0 && !other_shape && gain() > kStuck * candidate.predicted_gain) break;
+    attempt(start, noise);
+  }
+  // Whole samples: on from the best, until more of them no longer help.
+  const auto& parameters = info_of(*candidate.effect).parameters;
+  for (std::size_t i = 0; i < parameters.size() && best.possible(); ++i) {
+    if (parameters[i].name != "whole") continue;
+    double reached = gain();
+    for (double whole = 1.0; whole <= parameters[i].upper; whole += 1.0) {
+      EffectValues values = best.estimate.parameters.effects.back();
+      values.values[i] = whole;
+      values.values[0] = 0.5;
+      attempt({values, 0.0}, std::min(noise, best.estimate.noise.torque_Nm));
+      if (gain() < reached + 0.5 && best.estimate.parameters.effects.back().values[0] < 0.95) break;
+      reached = gain();
+    }
+  }
+  if (best.possible() && noise > kSuspiciousTorque_Nm &&
+      best.estimate.noise.torque_Nm > kSuspiciousTorque_Nm) {
+    // From a filter that believes the torque: where its own noise hid the effect.
+    for (std::size_t s = 0; s < std::min<std::size_t>(2, candidate.starts.size()); ++s)
+      attempt(candidate.starts[s], kModestTorque_Nm);
+    attempt({best.estimate.parameters.effects.back(), 0.0}, kModestTorque_Nm);
+  }
+  candidate.gain = std::max(0.0, gain());
+  if (best.possible()) {
+    best.degrees = hypothesis.degrees + candidate.degrees;
+    candidate.fitted = std::move(best);
+  }
+  candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
+}
+
+void refit(Hypothesis& hypothesis) {
+  hypothesis.estimate = fit_extended(hypothesis.runs, hypothesis.estimate);
+}
+
+Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded) {
+  Hypothesis reduced;
+  reduced.estimate = without_effect(hypothesis.estimate, effect);
+  const EffectValues& removed = hypothesis.estimate.parameters.effects[effect];
+  reduced.runs = hypothesis.runs;
+  reduced.unused_log_likelihood = hypothesis.unused_log_likelihood;
+  reduced.degrees = hypothesis.degrees - degrees_of(*removed.effect, recorded.size());
+  const EffectDelays delays = delays_of(removed);
+  if (delays.force || delays.velocity || delays.torque || info_of(*removed.effect).name == "outliers") {
+    // The readings as recorded, and then as the effects that are left see them.
+    reduced.runs = fit_runs(recorded);
+    reduced.unused_log_likelihood = 0.0;
+    for (const EffectValues& left : reduced.estimate.parameters.effects) {
+      move_by(delays_of(left), reduced.runs);
+    }
+  }
+  refit(reduced);
+  return reduced;
+}
+
+}  // namespace clampd::diagnosing

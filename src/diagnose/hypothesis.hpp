@@ -1,0 +1,65 @@
+#pragma once
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include "clampd/identify/extended_fit.hpp"
+
+namespace clampd::diagnosing {
+
+/// A model with the runs as it sees them: channels moved back that it says are late, readings left out that
+/// it says are spikes.
+struct Hypothesis {
+  ExtendedEstimate estimate;
+  std::vector<FitRun> runs;
+  /// What the readings that the fit does not use add to its log-likelihood, so that hypotheses are judged by
+  /// all readings.
+  double unused_log_likelihood = 0.0;
+  double degrees = 0.0;  ///< parameters that the effects add
+
+  double log_likelihood() const { return estimate.log_likelihood + unused_log_likelihood; }
+  bool possible() const { return estimate.possible; }
+};
+
+/// A first idea of an effect beside a hypothesis, and what a Gauss-Newton step promises from there.
+struct Start {
+  EffectValues values;
+  double predicted_gain = 0.0;
+};
+
+/// An effect judged beside a hypothesis.
+struct Candidate {
+  const Effect* effect = nullptr;
+  double degrees = 1.0;       ///< parameters estimated for it, those of each run among them
+  double alternatives = 1.0;  ///< tried for its choices
+  std::vector<Start> starts;  ///< most promising first
+  double predicted_gain = 0.0;
+  double predicted_evidence = 0.0;
+  /// The standard deviation of its strength at its neutral value over the change that matters; below one the
+  /// runs show it.
+  double blindness = 0.0;
+  Hypothesis fitted;
+  double gain = 0.0;
+  double evidence = 0.0;
+  bool is_fitted = false;
+
+  std::string_view name() const { return info_of(*effect).name; }
+};
+
+/// Everything about how promising an effect is beside a hypothesis, without fitting it.
+Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<const Run> recorded);
+
+/// Fits it; several starts where the first does not bring what it promised.
+void fit(Candidate& candidate, const Hypothesis& hypothesis);
+
+/// Fits the hypothesis anew with its effects as they are.
+void refit(Hypothesis& hypothesis);
+
+/// The hypothesis without one of its effects, fitted.
+Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded);
+
+/// Spikes: readings that are far off by themselves.
+Candidate look_for_outliers(const Hypothesis& hypothesis);
+
+}  // namespace clampd::diagnosing

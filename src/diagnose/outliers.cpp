@@ -1,0 +1,141 @@
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "src/diagnose/evidence.hpp"
+#include "src/diagnose/hypothesis.hpp"
+
+namespace clampd::diagnosing {
+
+namespace {
+
+/// A reading is a spike if it is so many robust standard deviations off, and more than all others nearby: the
+/// readings after a spike are judged again once it no longer moves the filter.
+constexpr double kSpike = 5.5;
+constexpr std::size_t kNearby = 10;
+constexpr int kMostRounds = 8;
+constexpr std::size_t kFewest = 2;
+/// Spikes stand alone; where more than this share has a neighbour, something else is wrong.
+constexpr double kMostNeighbours = 0.3;
+constexpr double kLargestShare = 0.2;
+
+double median_magnitude(std::vector<double> values) {
+  if (values.empty()) return 0.0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+struct Spike {
+  std::size_t run, row;
+};
+
+class SpikeSearch {
+ public:
+  SpikeSearch(const Hypothesis& hypothesis, int channel) : channel_(channel), found_(hypothesis) {}
+
+  bool run() {
+    for (int round = 0; round < kMostRounds; ++round) {
+      const std::vector<FilteredRun> filtered = filter_runs(found_.runs, found_.estimate);
+      if (filtered.empty() || !mark(filtered)) break;
+      if (static_cast<double>(spikes_.size()) > kLargestShare * readings()) return false;
+      found_.estimate = fit_extended(found_.runs, found_.estimate);
+      if (!found_.possible()) return false;
+    }
+    if (spikes_.size() < kFewest) return false;
+    std::size_t with_neighbour = 0;
+    for (const Spike& spike : spikes_)
+      with_neighbour += std::any_of(spikes_.begin(), spikes_.end(), [&](const Spike& other) {
+        return other.run == spike.run && (other.row == spike.row + 1 || other.row + 1 == spike.row);
+      });
+    return static_cast<double>(with_neighbour) <= kMostNeighbours * static_cast<double>(spikes_.size());
+  }
+
+  /// The spikes as a mixture: a share of the readings has a far larger noise.
+  Hypothesis result() {
+    const std::vector<FilteredRun> filtered = filter_runs(found_.runs, found_.estimate);
+    const double marked = static_cast<double>(spikes_.size());
+    const double share = marked / readings();
+    double square = 0.0;
+    for (const Spike& spike : spikes_) square += std::pow(residual(filtered, spike), 2) / marked;
+    double likelihood = marked * std::log(share) + (readings() - marked) * std::log1p(-share);
+    for (const Spike& spike : spikes_)
+      likelihood -=
+          0.5 * (std::log(2.0 * std::numbers::pi * square) + std::pow(residual(filtered, spike), 2) / square);
+    found_.unused_log_likelihood += likelihood;
+    found_.estimate =
+        with_effect(found_.estimate, {find_effect("outliers"), {share, std::sqrt(square), 1.0 + channel_}});
+    // Without equations: the covariance holds.
+    return std::move(found_);
+  }
+
+ private:
+  const std::vector<double>& innovations(const FilteredRun& run) const {
+    return channel_ == 0 ? run.force : run.velocity;
+  }
+  std::vector<std::uint8_t>& use(std::size_t run) {
+    return channel_ == 0 ? found_.runs[run].use_force : found_.runs[run].use_velocity;
+  }
+  double residual(const std::vector<FilteredRun>& filtered, const Spike& spike) const {
+    const FitRun& run = found_.runs[spike.run];
+    const FilteredRun& view = filtered[spike.run];
+    return channel_ == 0 ? run.force_N[spike.row] - view.predicted_force_N[spike.row]
+                         : run.velocity_rad_s[spike.row] - view.predicted_velocity_rad_s[spike.row];
+  }
+  double readings() const {
+    double count = 0.0;
+    for (const FitRun& run : found_.runs) count += static_cast<double>(run.size());
+    return count;
+  }
+
+  bool mark(const std::vector<FilteredRun>& filtered) {
+    std::vector<double> magnitudes;
+    for (const FilteredRun& run : filtered)
+      for (const double z : innovations(run))
+        if (std::isfinite(z)) magnitudes.push_back(std::abs(z));
+    const double limit = kSpike * median_magnitude(std::move(magnitudes)) / 0.6745;
+    bool any = false;
+    for (std::size_t r = 0; r < filtered.size(); ++r) {
+      const std::vector<double>& z = innovations(filtered[r]);
+      for (std::size_t k = 0; k < z.size(); ++k) {
+        if (!(std::abs(z[k]) > limit)) continue;
+        bool largest = true;
+        for (std::size_t i = k > kNearby ? k - kNearby : 0; i < std::min(z.size(), k + kNearby + 1); ++i)
+          largest = largest && !(std::abs(z[i]) > std::abs(z[k]));
+        if (!largest) continue;
+        use(r)[k] = 0;
+        spikes_.push_back({r, k});
+        any = true;
+      }
+    }
+    return any;
+  }
+
+  int channel_;
+  Hypothesis found_;
+  std::vector<Spike> spikes_;
+};
+
+}  // namespace
+
+Candidate look_for_outliers(const Hypothesis& hypothesis) {
+  Candidate best;
+  best.effect = find_effect("outliers");
+  best.degrees = 2.0;
+  best.alternatives = 2.0;
+  best.is_fitted = true;
+  for (int channel = 0; channel < 2; ++channel) {
+    SpikeSearch search(hypothesis, channel);
+    if (!search.run()) continue;
+    Hypothesis found = search.result();
+    found.degrees += best.degrees;
+    const double gain = found.log_likelihood() - hypothesis.log_likelihood();
+    if (gain <= best.gain) continue;
+    best.gain = best.predicted_gain = gain;
+    best.fitted = std::move(found);
+  }
+  best.evidence = best.predicted_evidence = evidence_of(best.gain, best.degrees, best.alternatives);
+  return best;
+}
+
+}  // namespace clampd::diagnosing

@@ -1,0 +1,392 @@
+#include "src/diagnose/residuals.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <Eigen/Eigenvalues>
+
+#include "src/diagnose/evidence.hpp"
+#include "src/diagnose/parallel.hpp"
+
+namespace clampd::diagnosing {
+
+namespace {
+
+constexpr int kLags = 20;
+constexpr int kCrossLags = 5;
+constexpr int kKnots = 6;
+/// Shapes of which less than this share is left when the parameters follow are not told from them.
+constexpr double kTold = 1e-6;
+/// The same of directions among shapes.
+constexpr double kToldApart = 1e-4;
+
+/// Sum over lags of n rho^2 of two series of innovations, runs put together; chi-square with so many degrees.
+struct Correlation {
+  double statistic = 0.0;
+  double degrees = 0.0;
+};
+Correlation correlation(std::span<const FilteredRun> runs, bool force_first, bool force_second, int first_lag,
+                        int last_lag) {
+  Correlation result;
+  for (int lag = first_lag; lag <= last_lag; ++lag) {
+    double product = 0.0, square_a = 0.0, square_b = 0.0, count = 0.0;
+    for (const FilteredRun& run : runs) {
+      const std::vector<double>& a = force_first ? run.force : run.velocity;
+      const std::vector<double>& b = force_second ? run.force : run.velocity;
+      const auto size = static_cast<int>(a.size());
+      for (int k = std::max(0, -lag); k < std::min(size, size - lag); ++k) {
+        const double x = a[static_cast<std::size_t>(k)];
+        const double y = b[static_cast<std::size_t>(k + lag)];
+        if (!std::isfinite(x) || !std::isfinite(y)) continue;
+        product += x * y;
+        square_a += x * x;
+        square_b += y * y;
+        count += 1.0;
+      }
+    }
+    if (!(square_a > 0.0) || !(square_b > 0.0)) continue;
+    result.statistic += count * product * product / (square_a * square_b);
+    result.degrees += 1.0;
+  }
+  return result;
+}
+
+/// Whether innovations are larger where something changes fast.
+Correlation spread_against_rates(std::span<const FilteredRun> runs, std::span<const FitRun> data,
+                                 bool force) {
+  std::vector<Eigen::Vector4d> rows;
+  std::vector<double> squares;
+  for (std::size_t r = 0; r < runs.size(); ++r) {
+    const FilteredRun& run = runs[r];
+    const std::vector<double>& z = force ? run.force : run.velocity;
+    for (std::size_t k = 1; k + 1 < z.size(); ++k) {
+      if (!std::isfinite(z[k])) continue;
+      const double gap = data[r].time_s[k + 1] - data[r].time_s[k - 1];
+      rows.emplace_back(1.0, std::abs(run.true_velocity_rad_s[k]),
+                        std::abs(run.true_force_N[k + 1] - run.true_force_N[k - 1]) / gap,
+                        std::abs(run.true_velocity_rad_s[k + 1] - run.true_velocity_rad_s[k - 1]) / gap);
+      squares.push_back(z[k] * z[k]);
+    }
+  }
+  if (rows.size() < 50) return {};
+  const auto count = static_cast<double>(rows.size());
+  double mean = 0.0, fourth = 0.0;
+  for (const double square : squares) {
+    mean += square / count;
+    fourth += square * square / count;
+  }
+  const double variance = std::max(1e-12, fourth - mean * mean);  // of a square; robust to heavy tails
+  Eigen::Vector4d scale = Eigen::Vector4d::Zero();
+  for (const auto& row : rows) scale = scale.cwiseMax(row);
+  Eigen::Matrix4d information = Eigen::Matrix4d::Zero();
+  Eigen::Vector4d score = Eigen::Vector4d::Zero();
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const Eigen::Vector4d row = rows[i].cwiseQuotient(scale.cwiseMax(1e-9));
+    information += row * row.transpose();
+    score += row * (squares[i] - mean);
+  }
+  information.diagonal().array() += 1e-9 * count;
+  return {score.dot(information.ldlt().solve(score)) / variance, 3.0};
+}
+
+/// Repeats of one manoeuvre: what they have in common against what they differ by. Needs no noise model.
+struct LackOfFit {
+  double between = 0.0, within = 0.0, degrees_between = 0.0, degrees_within = 0.0;
+};
+LackOfFit lack_of_fit(std::span<const FilteredRun> runs, std::span<const FitRun> data) {
+  LackOfFit result;
+  std::vector<bool> taken(runs.size(), false);
+  for (std::size_t first = 0; first < runs.size(); ++first) {
+    if (taken[first]) continue;
+    std::vector<std::size_t> group;
+    for (std::size_t r = first; r < runs.size(); ++r) {
+      if (taken[r] || data[r].size() != data[first].size()) continue;
+      const Eigen::Map<const Eigen::VectorXd> a(data[first].torque_Nm.data(),
+                                                static_cast<Eigen::Index>(data[first].size()));
+      const Eigen::Map<const Eigen::VectorXd> b(data[r].torque_Nm.data(),
+                                                static_cast<Eigen::Index>(data[r].size()));
+      const double norms = (a.array() - a.mean()).matrix().norm() * (b.array() - b.mean()).matrix().norm();
+      if (r != first && !((a.array() - a.mean()).matrix().dot((b.array() - b.mean()).matrix()) > 0.9 * norms))
+        continue;
+      group.push_back(r);
+      taken[r] = true;
+    }
+    if (group.size() < 2) continue;
+    const auto repeats = static_cast<double>(group.size());
+    for (std::size_t k = 0; k < data[first].size(); ++k)
+      for (const bool force : {true, false}) {
+        double mean = 0.0, square = 0.0;
+        bool complete = true;
+        for (const std::size_t r : group) {
+          const double z = force ? runs[r].force[k] : runs[r].velocity[k];
+          complete = complete && std::isfinite(z);
+          mean += z / repeats;
+          square += z * z;
+        }
+        if (!complete) continue;
+        result.between += repeats * mean * mean;
+        result.within += square - repeats * mean * mean;
+        result.degrees_between += 1.0;
+        result.degrees_within += repeats - 1.0;
+      }
+  }
+  return result;
+}
+
+/// A variable of the motion, and the free functions of it that could be missing.
+struct Variable {
+  std::string name;
+  std::vector<std::vector<double>> values;  ///< per run, per row
+  enum class Shape { Bends, Constant, Runs } shape = Shape::Bends;
+};
+
+std::vector<Variable> variables_of(std::span<const FilteredRun> filtered, std::span<const FitRun> runs) {
+  std::vector<Variable> list(7);
+  const char* const names[] = {"position", "velocity", "force", "time", "torque", "direction", "run"};
+  for (std::size_t v = 0; v < list.size(); ++v) list[v].name = names[v];
+  list[5].shape = Variable::Shape::Constant;
+  list[6].shape = Variable::Shape::Runs;
+  for (std::size_t r = 0; r < runs.size(); ++r) {
+    const FilteredRun& run = filtered[r];
+    list[0].values.push_back(run.position_rad);
+    list[1].values.push_back(run.true_velocity_rad_s);
+    list[2].values.push_back(run.true_force_N);
+    std::vector<double> time(runs[r].time_s), direction(time.size()), number(time.size(), runs[r].number);
+    for (double& t : time) t -= runs[r].time_s.front();
+    for (std::size_t k = 0; k < direction.size(); ++k)
+      direction[k] = run.true_velocity_rad_s[k] > 0.0 ? 1.0 : run.true_velocity_rad_s[k] < 0.0 ? -1.0 : 0.0;
+    list[3].values.push_back(std::move(time));
+    list[4].values.push_back(runs[r].torque_Nm);
+    list[5].values.push_back(std::move(direction));
+    list[6].values.push_back(std::move(number));
+  }
+  return list;
+}
+
+/// Columns of a free function: piecewise linear between quantiles.
+std::vector<Eigen::MatrixXd> columns_of(const Variable& variable) {
+  std::vector<Eigen::MatrixXd> columns;
+  if (variable.shape == Variable::Shape::Runs) {
+    for (std::size_t r = 0; r < variable.values.size(); ++r) {
+      Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(variable.values[r].size()),
+                                                   static_cast<Eigen::Index>(variable.values.size()));
+      rows.col(static_cast<Eigen::Index>(r)).setOnes();
+      columns.push_back(std::move(rows));
+    }
+    return columns;
+  }
+  if (variable.shape == Variable::Shape::Constant) {
+    for (const std::vector<double>& values : variable.values) {
+      Eigen::MatrixXd rows(static_cast<Eigen::Index>(values.size()), 2);
+      for (std::size_t k = 0; k < values.size(); ++k) {
+        rows(static_cast<Eigen::Index>(k), 0) = values[k] > 0.0;
+        rows(static_cast<Eigen::Index>(k), 1) = values[k] < 0.0;
+      }
+      columns.push_back(std::move(rows));
+    }
+    return columns;
+  }
+  std::vector<double> all;
+  for (const std::vector<double>& values : variable.values)
+    all.insert(all.end(), values.begin(), values.end());
+  std::sort(all.begin(), all.end());
+  // Half way between equal shares of the rows and equal distances: rare extremes matter, too.
+  std::array<double, kKnots> knots;
+  for (int i = 0; i < kKnots; ++i) {
+    const double share = static_cast<double>(i) / (kKnots - 1);
+    knots[static_cast<std::size_t>(i)] =
+        0.5 * (all[static_cast<std::size_t>(share * static_cast<double>(all.size() - 1))] + all.front() +
+               share * (all.back() - all.front()));
+  }
+  for (const std::vector<double>& values : variable.values) {
+    Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(values.size()), kKnots);
+    for (std::size_t k = 0; k < values.size(); ++k) {
+      const auto above = std::upper_bound(knots.begin(), knots.end(), values[k]);
+      const auto right = std::clamp<std::ptrdiff_t>(above - knots.begin(), 1, kKnots - 1);
+      const double left = knots[static_cast<std::size_t>(right - 1)];
+      const double width = knots[static_cast<std::size_t>(right)] - left;
+      const double share = width > 0.0 ? std::clamp((values[k] - left) / width, 0.0, 1.0) : 0.0;
+      rows(static_cast<Eigen::Index>(k), right - 1) = 1.0 - share;
+      rows(static_cast<Eigen::Index>(k), right) = share;
+    }
+    columns.push_back(std::move(rows));
+  }
+  return columns;
+}
+
+/// Rates of the readings: what a channel that comes too late or too early lacks.
+std::vector<Eigen::MatrixXd> rates_of(std::span<const FilteredRun> filtered, std::span<const FitRun> runs,
+                                      SignalColumns::Kind kind) {
+  std::vector<Eigen::MatrixXd> columns;
+  for (std::size_t r = 0; r < runs.size(); ++r) {
+    const std::vector<double>& signal = kind == SignalColumns::Kind::ForceReading ? filtered[r].true_force_N
+                                        : kind == SignalColumns::Kind::VelocityReading
+                                            ? filtered[r].true_velocity_rad_s
+                                            : runs[r].torque_Nm;
+    Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(signal.size()), 1);
+    for (std::size_t k = 1; k + 1 < signal.size(); ++k)
+      rows(static_cast<Eigen::Index>(k), 0) =
+          (signal[k + 1] - signal[k - 1]) / (runs[r].time_s[k + 1] - runs[r].time_s[k - 1]) * 1e-3;
+    columns.push_back(std::move(rows));
+  }
+  return columns;
+}
+
+struct Question {
+  SignalColumns::Kind kind;
+  std::string variable;
+  Location location;
+  std::vector<Eigen::MatrixXd> columns;
+};
+
+Location location_of(SignalColumns::Kind kind, const std::string& variable) {
+  switch (kind) {
+    case SignalColumns::Kind::Torque:
+      return variable == "torque" ? Location::TorqueReading : Location::TorqueBalance;
+    case SignalColumns::Kind::Force:
+      return Location::Stiffness;
+    case SignalColumns::Kind::ForceReading:
+      return Location::ForceReading;
+    case SignalColumns::Kind::VelocityReading:
+      return Location::VelocityReading;
+  }
+  return Location::TorqueBalance;
+}
+
+struct Answer {
+  double gain = 0.0;
+  double degrees = 0.0;
+};
+
+/// Only in directions that the data tell from the parameters and from each other.
+Answer gain_of(const SignalScores& scores, Eigen::Index first, Eigen::Index count) {
+  std::vector<Eigen::Index> told;
+  for (Eigen::Index i = first; i < first + count; ++i)
+    if (scores.information(i, i) > kTold * scores.alone[i] && scores.alone[i] > 0.0) told.push_back(i);
+  Answer answer;
+  if (told.empty()) return answer;
+  const Eigen::MatrixXd information = scores.information(told, told);
+  const Eigen::VectorXd scale = information.diagonal().cwiseSqrt();
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(
+      information.cwiseQuotient(scale * scale.transpose()));
+  const Eigen::VectorXd along = solver.eigenvectors().transpose() * scores.score(told).cwiseQuotient(scale);
+  for (Eigen::Index i = 0; i < along.size(); ++i) {
+    if (!(solver.eigenvalues()[i] > kToldApart)) continue;
+    answer.gain += 0.5 * along[i] * along[i] / solver.eigenvalues()[i];
+    answer.degrees += 1.0;
+  }
+  return answer;
+}
+
+}  // namespace
+
+Residuals examine(const Hypothesis& hypothesis, int threads) {
+  Residuals residuals;
+  const std::vector<FilteredRun> filtered = filter_runs(hypothesis.runs, hypothesis.estimate);
+  if (filtered.empty()) return residuals;
+
+  struct Finding {
+    double surprise, nats;
+  };
+  std::vector<Finding> findings;
+  const auto add_test = [&](std::string name, const Correlation& found, const char* passed,
+                            const char* failed) {
+    if (!(found.degrees > 0.0)) return;
+    const double surprise = surprise_of_chi_square(found.statistic, found.degrees);
+    const double p = p_value_of(surprise);
+    residuals.tests.push_back({std::move(name), found.statistic, p, p < 1e-3 ? failed : passed});
+    findings.push_back({surprise, std::max(0.0, 0.5 * (found.statistic - found.degrees))});
+  };
+  add_test("whiteness of the force", correlation(filtered, true, true, 1, kLags),
+           "what is left of the force is noise", "what is left of the force hangs together over time");
+  add_test("whiteness of the velocity", correlation(filtered, false, false, 1, kLags),
+           "what is left of the velocity is noise", "what is left of the velocity hangs together over time");
+  add_test("force against velocity", correlation(filtered, true, false, -kCrossLags, kCrossLags),
+           "the two readings' errors know nothing of each other",
+           "the two readings err together: one of them comes late, or the balance lacks something");
+  add_test("spread of the force", spread_against_rates(filtered, hypothesis.runs, true),
+           "the force is equally uncertain everywhere",
+           "the force is more uncertain where something changes fast");
+  add_test("spread of the velocity", spread_against_rates(filtered, hypothesis.runs, false),
+           "the velocity is equally uncertain everywhere",
+           "the velocity is more uncertain where something changes fast");
+  const LackOfFit repeats = lack_of_fit(filtered, hypothesis.runs);
+  if (repeats.degrees_within > 50.0 && repeats.within > 0.0) {
+    const double f = repeats.between / repeats.degrees_between / (repeats.within / repeats.degrees_within);
+    const double surprise = surprise_of_f(f, repeats.degrees_between, repeats.degrees_within);
+    residuals.tests.push_back({"lack of fit against repeats", f, p_value_of(surprise),
+                               surprise > 7.0 ? "repeats miss the model in the same places"
+                                              : "repeats miss the model no more alike than by chance"});
+    findings.push_back({surprise, std::max(0.0, 0.5 * (f - 1.0) * repeats.degrees_between)});
+  }
+
+  using Kind = SignalColumns::Kind;
+  const std::vector<Variable> variables = variables_of(filtered, hypothesis.runs);
+  std::vector<Question> questions;
+  for (const Kind kind : {Kind::Torque, Kind::Force, Kind::ForceReading, Kind::VelocityReading}) {
+    for (const Variable& variable : variables) {
+      if (variable.shape == Variable::Shape::Runs &&
+          (variable.values.size() < 2 || variable.values.size() > 60))
+        continue;
+      questions.push_back({kind, variable.name, location_of(kind, variable.name), columns_of(variable)});
+    }
+    if (kind != Kind::Force)
+      questions.push_back({kind, "rate", Location::Timing, rates_of(filtered, hypothesis.runs, kind)});
+  }
+  std::vector<Answer> answers(questions.size());
+  // One pass a kind: the columns of all its questions side by side.
+  const Kind kinds[] = {Kind::Torque, Kind::Force, Kind::ForceReading, Kind::VelocityReading};
+  for_each_index(4, threads, [&](std::size_t i) {
+    SignalColumns signals{kinds[i], {}};
+    std::vector<std::size_t> members;
+    Eigen::Index width = 0;
+    for (std::size_t q = 0; q < questions.size(); ++q) {
+      if (questions[q].kind != kinds[i]) continue;
+      members.push_back(q);
+      width += questions[q].columns.front().cols();
+    }
+    for (std::size_t r = 0; r < filtered.size(); ++r) {
+      Eigen::MatrixXd rows(questions[members.front()].columns[r].rows(), width);
+      Eigen::Index at = 0;
+      for (const std::size_t q : members) {
+        rows.middleCols(at, questions[q].columns[r].cols()) = questions[q].columns[r];
+        at += questions[q].columns[r].cols();
+      }
+      signals.rows.push_back(std::move(rows));
+    }
+    const SignalScores scores = score_signals(hypothesis.runs, hypothesis.estimate, signals);
+    Eigen::Index at = 0;
+    for (const std::size_t q : members) {
+      const Eigen::Index count = questions[q].columns.front().cols();
+      answers[q] = gain_of(scores, at, count);
+      at += count;
+    }
+  });
+  const double tried = static_cast<double>(questions.size() + findings.size());
+  for (std::size_t q = 0; q < questions.size(); ++q) {
+    const double surprise = surprise_of_chi_square(2.0 * answers[q].gain, answers[q].degrees);
+    findings.push_back({surprise, std::max(0.0, answers[q].gain - 0.5 * answers[q].degrees)});
+    residuals.dependences.push_back(
+        {questions[q].variable, questions[q].location, answers[q].gain, p_value_of(surprise, tried)});
+  }
+  // By how surprising: a free function of more shapes gains more by chance.
+  std::vector<std::size_t> order(residuals.dependences.size());
+  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+  const auto surprise_of = [&](std::size_t q) {
+    return surprise_of_chi_square(2.0 * answers[q].gain, answers[q].degrees);
+  };
+  std::sort(order.begin(), order.end(),
+            [&](std::size_t a, std::size_t b) { return surprise_of(a) > surprise_of(b); });
+  std::vector<Dependence> sorted;
+  for (const std::size_t q : order) sorted.push_back(residuals.dependences[q]);
+  residuals.dependences = std::move(sorted);
+  for (const Finding& finding : findings) {
+    residuals.surprise = std::max(residuals.surprise, finding.surprise - std::log(tried));
+    if (finding.surprise - std::log(tried) > 4.6) residuals.nats = std::max(residuals.nats, finding.nats);
+  }
+  return residuals;
+}
+
+}  // namespace clampd::diagnosing

@@ -1,0 +1,23 @@
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "clampd/diagnose/diagnosis.hpp"
+#include "src/diagnose/hypothesis.hpp"
+
+namespace clampd::diagnosing {
+
+/// What the innovations of a hypothesis still hide.
+struct Residuals {
+  std::vector<MisfitTest> tests;
+  std::vector<Dependence> dependences;  ///< strongest first
+  /// -ln p of the most surprising of all tests and dependences, their number counted.
+  double surprise = 0.0;
+  /// What a model of the strongest finding would gain, nats.
+  double nats = 0.0;
+};
+
+Residuals examine(const Hypothesis& hypothesis, int threads);
+
+}  // namespace clampd::diagnosing

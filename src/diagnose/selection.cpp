@@ -1,0 +1,179 @@
+#include "src/diagnose/selection.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "src/diagnose/evidence.hpp"
+#include "src/diagnose/parallel.hpp"
+
+namespace clampd::diagnosing {
+
+namespace {
+
+/// Of the candidates worth a fit: no more than these, and none that promises less than this share of the
+/// best.
+constexpr std::size_t kMostFits = 8;
+constexpr double kPromising = 0.2;
+/// A fit may bring more than one step promises, but hardly from nothing.
+constexpr double kBelowAlarm = 3.5;
+/// A further effect must bring this share of what the others bring: an effect of another form than the
+/// candidate's leaves that much behind.
+constexpr double kMaterial = 0.03;
+
+bool has(const Hypothesis& hypothesis, const Effect& effect) {
+  const auto& present = hypothesis.estimate.parameters.effects;
+  return std::any_of(present.begin(), present.end(),
+                     [&](const EffectValues& values) { return values.effect == &effect; });
+}
+
+bool room_for(const Hypothesis& hypothesis, const Effect& effect) {
+  const EffectInfo& info = info_of(effect);
+  int states = 2 + info.states;
+  std::size_t parameters = kParameterCount + info.parameters.size();
+  for (const EffectValues& values : hypothesis.estimate.parameters.effects) {
+    states += info_of(*values.effect).states;
+    parameters += values.values.size();
+  }
+  return states <= ExtendedBrake::kMostStates &&
+         parameters <= static_cast<std::size_t>(ExtendedBrake::kMostParameters);
+}
+
+class Selector {
+ public:
+  Selector(std::span<const Run> runs, const SelectionOptions& options)
+      : runs_(runs), options_(options), alarm_(alarm_level(options.false_alarm)) {}
+
+  /// All candidates beside a hypothesis, the promising ones fitted, best first.
+  std::vector<Candidate> judge(const Hypothesis& hypothesis, double from, double to,
+                               const std::string& words) {
+    std::vector<const Effect*> tried;
+    for (const Effect* effect : effects())
+      if ((!has(hypothesis, *effect) || info_of(*effect).repeatable) && room_for(hypothesis, *effect))
+        tried.push_back(effect);
+    std::vector<Candidate> candidates(tried.size());
+    std::atomic<std::size_t> done{0};
+    for_each_index(tried.size(), options_.threads, [&](std::size_t i) {
+      candidates[i] = info_of(*tried[i]).name == "outliers" ? look_for_outliers(hypothesis)
+                                                            : look_at(*tried[i], hypothesis, runs_);
+      ++done;
+    });
+    report(from + 0.4 * (to - from), words);
+    const auto by_promise = [](const Candidate& a, const Candidate& b) {
+      return a.predicted_evidence > b.predicted_evidence;
+    };
+    std::sort(candidates.begin(), candidates.end(), by_promise);
+    const double best = candidates.empty() ? 0.0 : candidates.front().predicted_evidence;
+    std::vector<std::size_t> worth;
+    for (std::size_t i = 0; i < candidates.size() && worth.size() < kMostFits; ++i)
+      if (!candidates[i].is_fitted &&
+          candidates[i].predicted_evidence > std::max(alarm_ - kBelowAlarm, kPromising * best))
+        worth.push_back(i);
+    for_each_index(worth.size(), options_.threads,
+                   [&](std::size_t i) { fit(candidates[worth[i]], hypothesis); });
+    report(to, words);
+    std::stable_sort(candidates.begin(), candidates.end(), [](const Candidate& a, const Candidate& b) {
+      return (a.is_fitted ? a.evidence : -1e9) > (b.is_fitted ? b.evidence : -1e9);
+    });
+    return candidates;
+  }
+
+  double alarm() const { return alarm_; }
+  bool is_alarm(const Candidate& candidate) const {
+    return candidate.is_fitted && candidate.fitted.possible() && candidate.evidence > alarm_;
+  }
+
+ private:
+  void report(double share, const std::string& words) const {
+    if (options_.progress) options_.progress(share, words);
+  }
+
+  std::span<const Run> runs_;
+  const SelectionOptions& options_;
+  double alarm_;
+};
+
+/// Those of a judged list that do as well as `evidence`.
+std::vector<Candidate> rivals_among(const std::vector<Candidate>& candidates, std::string_view name,
+                                    double evidence, double alarm) {
+  std::vector<Candidate> rivals;
+  for (const Candidate& candidate : candidates)
+    if (candidate.name() != name && candidate.is_fitted && candidate.fitted.possible() &&
+        candidate.evidence > std::max(alarm, evidence - kClearly))
+      rivals.push_back(candidate);
+  return rivals;
+}
+
+}  // namespace
+
+double alarm_level(double false_alarm) {
+  return std::log(static_cast<double>(effects().size()) / false_alarm);
+}
+
+Selection select_effects(std::span<const Run> runs, const Hypothesis& base, const SelectionOptions& options) {
+  Selector selector(runs, options);
+  Selection selection{base, base, {}, {}};
+  double share = 0.15;
+  for (int stage = 0; stage < options.most_effects; ++stage) {
+    const double next = share + 0.5 * (0.95 - share);
+    selection.stages.push_back(selector.judge(
+        selection.chosen, share, next,
+        stage == 0 ? "trying every effect" : fmt::format("trying every effect beside {} found", stage)));
+    share = next;
+    const std::vector<Candidate>& candidates = selection.stages.back();
+    if (candidates.empty() || !selector.is_alarm(candidates.front())) break;
+    const Candidate& best = candidates.front();
+    const double so_far = selection.chosen.log_likelihood() - base.log_likelihood();
+    if (best.gain < kMaterial * so_far) break;
+    selection.effects.push_back({std::string(best.name()), best.gain, best.evidence,
+                                 rivals_among(candidates, best.name(), best.evidence, selector.alarm())});
+    selection.chosen = best.fitted;
+  }
+  if (selection.effects.size() < 2) return selection;
+
+  // Each effect again, with all others there: is it still needed, and does another do as well in its place?
+  int exchanges = 0;
+  for (std::size_t e = 0; e < selection.effects.size() && selection.effects.size() > 1;) {
+    const Hypothesis reduced = without(selection.chosen, e, runs);
+    const std::string name = selection.effects[e].name;
+    std::vector<Candidate> candidates =
+        selector.judge(reduced, share, share + 0.4 * (0.97 - share), fmt::format("is {} needed?", name));
+    share += 0.4 * (0.97 - share);
+    const auto itself = std::find_if(candidates.begin(), candidates.end(),
+                                     [&](const Candidate& candidate) { return candidate.name() == name; });
+    const double gain = selection.chosen.log_likelihood() - reduced.log_likelihood();
+    Selected& selected = selection.effects[e];
+    double evidence = evidence_of(gain, selection.chosen.degrees - reduced.degrees,
+                                  itself == candidates.end() ? 1.0 : itself->alternatives);
+    if (evidence < selector.alarm()) {
+      selection.chosen = reduced;
+      selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
+      e = 0;
+      continue;
+    }
+    // A fit of the same name may have ended higher than where the search came from.
+    if (itself != candidates.end() && itself->is_fitted && itself->evidence > evidence &&
+        itself->fitted.possible())
+      evidence = itself->evidence;
+    selected.gain = gain;
+    selected.evidence = evidence;
+    selected.rivals = rivals_among(candidates, name, evidence, selector.alarm());
+    const bool exchange = !selected.rivals.empty() && selected.rivals.front().evidence > evidence;
+    if (exchange && exchanges++ < options.most_effects) {
+      // The new one takes its place at the end; what it replaces becomes its rival.
+      Candidate better = selected.rivals.front();
+      selection.chosen = better.fitted;
+      selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
+      selection.effects.push_back(
+          {std::string(better.name()), better.gain, better.evidence,
+           rivals_among(candidates, better.name(), better.evidence, selector.alarm())});
+      continue;
+    }
+    ++e;
+  }
+  return selection;
+}
+
+}  // namespace clampd::diagnosing

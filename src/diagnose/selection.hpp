@@ -1,0 +1,44 @@
+#pragma once
+
+#include <functional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "src/diagnose/hypothesis.hpp"
+
+namespace clampd::diagnosing {
+
+struct SelectionOptions {
+  int threads = 1;
+  int most_effects = 4;
+  double false_alarm = 0.01;
+  std::function<void(double, const std::string&)> progress;
+};
+
+/// Names within so many nats of evidence of the best are its rivals.
+inline constexpr double kClearly = 5.0;
+
+struct Selected {
+  std::string name;
+  double gain = 0.0;      ///< nats that the model loses without it
+  double evidence = 0.0;  ///< of that, its own alternatives counted
+  /// Those that do as well in its place, best first, each fitted; itself not among them.
+  std::vector<Candidate> rivals;
+};
+
+struct Selection {
+  Hypothesis base;
+  Hypothesis chosen;
+  std::vector<Selected> effects;               ///< in the order of the chosen model's
+  std::vector<std::vector<Candidate>> stages;  ///< every candidate of each round, best first
+};
+
+/// Evidence from which on a candidate is more than chance among all that were tried.
+double alarm_level(double false_alarm);
+
+/// Adds the effect that is most clearly there, one after the other, as long as it is more than chance, and
+/// takes out again or exchanges what has become superfluous.
+Selection select_effects(std::span<const Run> runs, const Hypothesis& base, const SelectionOptions& options);
+
+}  // namespace clampd::diagnosing

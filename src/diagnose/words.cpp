@@ -1,0 +1,114 @@
+#include "src/diagnose/words.hpp"
+
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+namespace clampd::diagnosing {
+
+namespace {
+
+/// Values with a size that people can read: seconds as milliseconds, shares as per cent.
+std::string size_of(const EstimatedParameter& parameter) {
+  if (parameter.unit == "s") return fmt::format("{:.2g} ms", 1e3 * parameter.value);
+  if (parameter.unit == "1") return fmt::format("{:.2g} %", 100.0 * parameter.value);
+  return fmt::format("{:.3g} {}", parameter.value, parameter.unit);
+}
+
+const EstimatedParameter* parameter_of(const NamedEffect& effect, std::string_view name) {
+  for (const EstimatedParameter& parameter : effect.parameters)
+    if (parameter.name == name) return &parameter;
+  return nullptr;
+}
+
+std::string words_of(const NamedEffect& effect) {
+  const std::string cause(info_of(*find_effect(effect.name)).cause);
+  if (effect.name == "channel-skew") {
+    const char* const channels[] = {"?", "reading of clamp force", "reading of velocity",
+                                    "reading of torque"};
+    const double late = parameter_of(effect, "fraction")->value + parameter_of(effect, "whole")->value;
+    const auto channel = static_cast<int>(parameter_of(effect, "channel")->value);
+    return fmt::format("the {} comes {:.2g} samples late", channels[channel], late);
+  }
+  if (effect.name == "cogging") {
+    const double amplitude = std::hypot(effect.parameters[0].value, effect.parameters[1].value);
+    return fmt::format("{}: {:.2g} N m, {:.3g} times a revolution", cause, amplitude,
+                       effect.parameters[2].value);
+  }
+  if (effect.name == "force-lag")
+    return fmt::format("the reading of clamp force comes {} late, as through a filter",
+                       size_of(effect.parameters[0]));
+  if (effect.name == "velocity-lag")
+    return fmt::format("the reading of velocity comes {} late, as through a filter",
+                       size_of(effect.parameters[0]));
+  if (effect.name == "torque-lag")
+    return fmt::format("the acting torque comes {} later than its reading", size_of(effect.parameters[0]));
+  if (effect.name == "force-hum")
+    return fmt::format("the mains hum on the reading of clamp force ({}, {})",
+                       size_of(effect.parameters.back()), size_of(effect.parameters.front()));
+  if (effect.name == "outliers")
+    return fmt::format("single readings of {} are far off: {} of them",
+                       effect.parameters[2].value == 1.0 ? "clamp force" : "velocity",
+                       size_of(effect.parameters[0]));
+  return fmt::format("{} ({})", cause, size_of(effect.parameters.front()));
+}
+
+std::string capital(std::string text) {
+  if (!text.empty()) text[0] = static_cast<char>(std::toupper(static_cast<unsigned char>(text[0])));
+  return text;
+}
+
+}  // namespace
+
+std::string summary_words(const Diagnosis& diagnosis) {
+  switch (diagnosis.verdict) {
+    case DiagnosisVerdict::Adequate:
+      return "The model explains these runs: nothing is left but noise.";
+    case DiagnosisVerdict::Explained: {
+      std::vector<std::string> words;
+      for (const NamedEffect& effect : diagnosis.effects) words.push_back(words_of(effect));
+      return capital(fmt::format("{}.", fmt::join(words, "; and ")));
+    }
+    case DiagnosisVerdict::Ambiguous: {
+      std::vector<std::string> certain, open;
+      for (const NamedEffect& effect : diagnosis.effects) {
+        const std::vector<std::string>* group = nullptr;
+        for (const auto& rivals : diagnosis.rivals)
+          if (rivals.front() == effect.name) group = &rivals;
+        if (group == nullptr)
+          certain.push_back(words_of(effect));
+        else
+          open.push_back(fmt::format("{} - or one of: {}", words_of(effect),
+                                     fmt::join(group->begin() + 1, group->end(), ", ")));
+      }
+      certain.insert(certain.end(), open.begin(), open.end());
+      return capital(fmt::format("{}. These runs cannot tell which.", fmt::join(certain, "; and ")));
+    }
+    case DiagnosisVerdict::Unexplained: {
+      std::string where = "in a place that cannot be told";
+      if (diagnosis.misfit.location) where = fmt::format("in the {}", to_string(*diagnosis.misfit.location));
+      std::string on;
+      if (!diagnosis.misfit.dependences.empty())
+        on = fmt::format(", depending on {}", diagnosis.misfit.dependences.front().variable);
+      return fmt::format("Something is wrong {}{}, and no known effect explains it.", where, on);
+    }
+  }
+  return "";
+}
+
+std::string unseen_words(const Effect& effect, double blindness) {
+  const EffectInfo& info = info_of(effect);
+  if (!std::isfinite(blindness) || blindness > 1e3)
+    return fmt::format("these runs say nothing about it: it shows in {}", info.excitation);
+  std::string smallest;
+  for (const EffectParameter& parameter : info.parameters)
+    if (parameter.role == EffectParameter::Role::Strength) {
+      smallest = fmt::format("below {:.2g} {} it could not have been seen", 7.0 * blindness * parameter.scale,
+                             parameter.unit);
+      break;
+    }
+  return fmt::format("{}: it shows in {}", smallest, info.excitation);
+}
+
+}  // namespace clampd::diagnosing
