@@ -28,10 +28,11 @@ class ClosedLoop {
   /// `brake`, from contact and at rest, along the reference into `out`.
   void track(const Reference& reference, const BrakeParameters& brake, TrackedRun& out) const;
 
- private:
+  /// What the loop asks for in one row, not limited.
   double torque_Nm(const ReferenceRow& row, const ReferenceRow& next, const PaperBrake& brake,
                    const BrakeState& state) const;
 
+ private:
   BrakeParameters nominal_;
   PaperBrake nominal_brake_;
   double torque_limit_Nm_;
