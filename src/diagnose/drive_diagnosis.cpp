@@ -359,10 +359,12 @@ std::vector<EstimatedParameter> effect_parameters(const DriveComponent& componen
     case DriveTerm::FrictionPosition:
     case DriveTerm::LoadPosition: {
       // Legendre polynomials of the position over the range of the runs.
-      auto parameters = one("slope", units.torque);
-      parameters.push_back(model.combined("curvature", units.torque, {{at + 1, 1.0}}));
-      if (component.columns.size() == 3)
-        parameters.push_back(model.combined("mean", units.torque, {{at + 2, 1.0}}));
+      const bool constant = component.columns.size() == 3;
+      const Eigen::Index slope = constant ? at + 1 : at;
+      std::vector<EstimatedParameter> parameters{
+          model.combined("slope", units.torque, {{slope, 1.0}}),
+          model.combined("curvature", units.torque, {{slope + 1, 1.0}})};
+      if (constant) parameters.push_back(model.combined("mean", units.torque, {{at, 1.0}}));
       return parameters;
     }
     case DriveTerm::FrictionDrift:

@@ -78,6 +78,12 @@ bool one_sided(DriveTerm term) {
          term == DriveTerm::Presliding;
 }
 
+/// Its first column is a constant then.
+bool contains_offset(const DriveComponent& component) {
+  return (component.term == DriveTerm::FrictionAsymmetry && component.columns.size() == 2) ||
+         (component.term == DriveTerm::LoadPosition && component.columns.size() == 3);
+}
+
 class Search {
  public:
   Search(const DriveFit& fit, const DriveModel& model, const DriveData* heldout,
@@ -195,6 +201,10 @@ class Search {
                   0.5 * static_cast<double>(added.cols()) * std::log(effective_size(with.residuals));
     trial.significant = trial.evidence > alarm() && trial.score > 0.0 &&
                         (!one_sided(component.term) || with.coefficients[base.cols()] > 0.0);
+    // What an offset does as well is no evidence for a larger model that contains it.
+    const int own = static_cast<int>(added.cols()) - 1;
+    if (contains_offset(component) && own > 0)
+      trial.significant = trial.significant && with.evidence_of_last(own) > alarm();
     trial.holds = trial.significant && holds(base, joined(base, added), component);
     return trial;
   }
@@ -290,6 +300,11 @@ class Search {
     const Regression without = regress(base, fit_.target(), fit_.blocks());
     for (std::size_t i = 0; i < stage.trials.size(); ++i) {
       const DriveTrial& trial = stage.trials[i];
+      if (winner.component.term == DriveTerm::TorqueOffset &&
+          trial.component.term == DriveTerm::FrictionAsymmetry) {
+        stage.rivals.push_back(i);  // while sliding, an asymmetric dry friction is an offset
+        continue;
+      }
       if (i == *stage.winner || !trial.holds || trial.score < winner.score - kRivalNats) continue;
       const Eigen::MatrixXd added = DriveFit::columns({trial.component}, fit_.data());
       if (independent(base, added) && judge(trial.component, base, without).holds) continue;

@@ -99,12 +99,12 @@ std::vector<DriveComponent> shapes_of(DriveTerm term, const DriveRange& range, b
              return m.sign[i] * (1.5 * place(m, i) * place(m, i) - 0.5);
            })})};
     case DriveTerm::LoadPosition: {
-      std::vector<DriveColumn> columns{filtered_column(place),
-                                       filtered_column([place](const DriveMotion& m, std::size_t i) {
-                                         return 1.5 * place(m, i) * place(m, i) - 0.5;
-                                       })};
-      // Where a spring is slack is not known.
+      // Where a spring is slack is not known: a constant belongs to it.
+      std::vector<DriveColumn> columns;
       if (!constant_in_model) columns.push_back(one);
+      columns.push_back(filtered_column(place));
+      columns.push_back(filtered_column(
+          [place](const DriveMotion& m, std::size_t i) { return 1.5 * place(m, i) * place(m, i) - 0.5; }));
       return {of(std::move(columns))};
     }
     case DriveTerm::FrictionDrift: {
