@@ -23,6 +23,8 @@ constexpr double kStuck = 0.85;
 constexpr double kSuspiciousTorque_Nm = 0.02;
 constexpr double kModestTorque_Nm = 0.008;
 constexpr int kMostFits = 4;
+/// Enough to see whether a candidate is among the best; those are then fitted to the end.
+constexpr int kRoughIterations = 14;
 
 /// Scan of a periodic torque over the motor angle: finer than what one run over the whole travel resolves.
 constexpr double kScanFirst = 0.4;
@@ -103,14 +105,17 @@ double likelihood_of_unusable(const EffectDelays& delays, const Hypothesis& hypo
   return hypothesis.estimate.log_likelihood - forecast(fewer, hypothesis.estimate).log_likelihood;
 }
 
-Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double torque_noise_Nm) {
+Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double torque_noise_Nm,
+                       int max_iterations) {
   Hypothesis extended = hypothesis;
   extended.estimate = with_effect(hypothesis.estimate, start.values);
   extended.estimate.noise.torque_Nm = torque_noise_Nm;
   const EffectDelays delays = delays_of(start.values);
   extended.unused_log_likelihood += likelihood_of_unusable(delays, hypothesis);
   move_by(delays, extended.runs);
-  extended.estimate = fit_extended(extended.runs, extended.estimate);
+  ExtendedFitOptions options;
+  options.max_iterations = max_iterations;
+  extended.estimate = fit_extended(extended.runs, extended.estimate, options);
   return extended;
 }
 
@@ -215,7 +220,7 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis) {
   };
   const auto attempt = [&](const Start& start, double torque_noise_Nm) {
     ++fits;
-    keep_if_better(fitted_from(start, hypothesis, torque_noise_Nm), best);
+    keep_if_better(fitted_from(start, hypothesis, torque_noise_Nm, kRoughIterations), best);
   };
   for (const Start& start : candidate.starts) {
     if (fits > 0 && (fits >= kMostFits || start.predicted_gain < kWorthAFit * candidate.predicted_gain))
@@ -250,6 +255,15 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis) {
     best.degrees = hypothesis.degrees + candidate.degrees;
     candidate.fitted = std::move(best);
   }
+  candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
+}
+
+void finish(Candidate& candidate, const Hypothesis& hypothesis) {
+  if (!candidate.fitted.possible() || candidate.fitted.estimate.settled) return;
+  Hypothesis further = candidate.fitted;
+  refit(further);
+  keep_if_better(std::move(further), candidate.fitted);
+  candidate.gain = std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood());
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
 

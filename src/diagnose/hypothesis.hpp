@@ -50,8 +50,11 @@ struct Candidate {
 /// Everything about how promising an effect is beside a hypothesis, without fitting it.
 Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<const Run> recorded);
 
-/// Fits it; several starts where the first does not bring what it promised.
+/// Fits it roughly; several starts where the first does not bring what it promised.
 void fit(Candidate& candidate, const Hypothesis& hypothesis);
+
+/// Fits to the end what fit() began.
+void finish(Candidate& candidate, const Hypothesis& hypothesis);
 
 /// Fits the hypothesis anew with its effects as they are.
 void refit(Hypothesis& hypothesis);

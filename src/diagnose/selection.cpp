@@ -19,6 +19,9 @@ constexpr std::size_t kMostFits = 8;
 constexpr double kPromising = 0.2;
 /// A fit may bring more than one step promises, but hardly from nothing.
 constexpr double kBelowAlarm = 3.5;
+/// Fitted to the end are those not behind the best rough fit by this share and these nats.
+constexpr double kLeading = 0.8;
+constexpr double kFarBehind_nats = 40.0;
 /// A further effect must bring this share of what the others bring: an effect of another form than the
 /// candidate's leaves that much behind.
 constexpr double kMaterial = 0.03;
@@ -73,6 +76,16 @@ class Selector {
         worth.push_back(i);
     for_each_index(worth.size(), options_.threads,
                    [&](std::size_t i) { fit(candidates[worth[i]], hypothesis); });
+    double reached = 0.0;
+    for (const Candidate& candidate : candidates)
+      if (candidate.is_fitted) reached = std::max(reached, candidate.gain);
+    std::vector<std::size_t> leading;
+    for (std::size_t i = 0; i < candidates.size(); ++i)
+      if (candidates[i].is_fitted &&
+          candidates[i].gain > std::min(kLeading * reached, reached - kFarBehind_nats))
+        leading.push_back(i);
+    for_each_index(leading.size(), options_.threads,
+                   [&](std::size_t i) { finish(candidates[leading[i]], hypothesis); });
     report(to, words);
     std::stable_sort(candidates.begin(), candidates.end(), [](const Candidate& a, const Candidate& b) {
       return (a.is_fitted ? a.evidence : -1e9) > (b.is_fitted ? b.evidence : -1e9);
