@@ -4,53 +4,57 @@
 #include <limits>
 
 #include "clampd/identify/extended_fit.hpp"
-#include "clampd/identify/prediction_error.hpp"
-#include "src/identify/linear_run.hpp"
 
 namespace clampd::blind {
+namespace {
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+/// By an estimate fitted to the noise-free readings with the true noise; NaN if it is none.
+double nats_of(const std::vector<FitRun>& runs, const ExtendedEstimate& estimate) {
+  if (!estimate.possible) return kNaN;
+  const std::vector<FilteredRun> filtered = filter_runs(runs, estimate);
+  if (filtered.empty()) return kNaN;
+  double nats = 0.0;
+  for (const FilteredRun& run : filtered)
+    for (const std::vector<double>* channel : {&run.force, &run.velocity})
+      for (const double innovation : *channel)
+        if (!std::isnan(innovation)) nats += 0.5 * innovation * innovation;
+  return nats;
+}
+
+ExtendedEstimate fit_knowing_noise(const std::vector<FitRun>& runs, ExtendedEstimate start,
+                                   const NoiseLevels& noise) {
+  start.noise = noise;
+  ExtendedFitOptions options;
+  options.estimate_noise = false;
+  options.max_iterations = 15;  // strong effects take long to settle, and need no second digit
+  return fit_extended(runs, start, options);
+}
+
+}  // namespace
 
 double detectability_nats(const BlindSet& set) {
-  const NoiseLevels& noise = set.answer.noise;
-  EstimatorOptions options;
-  options.start = set.answer.brake;
-  options.noise_force_N = noise.sensors.force_N;
-  options.noise_velocity_rad_s = noise.sensors.velocity_rad_s;
-  options.noise_torque_Nm = noise.torque_Nm;
-  const Estimate estimate = identify_prediction_error(set.noise_free, options);
-  if (estimate.initial_states.size() != set.noise_free.size())
-    return std::numeric_limits<double>::quiet_NaN();
-  double nats = 0.0;
-  for (std::size_t i = 0; i < set.noise_free.size(); ++i) {
-    const Run& run = set.noise_free[i];
-    identify::LinearRun linear;
-    linear.resize(run.size());
-    if (!identify::extended_kalman_filter(run, estimate.parameters, estimate.initial_states[i],
-                                          identify::variances_of(noise), {}, linear))
-      return std::numeric_limits<double>::quiet_NaN();
-    for (std::size_t k = 0; k < run.size(); ++k)
-      nats += 0.5 * linear.rows[k].residual.dot(linear.gains[k].weight * linear.rows[k].residual);
-  }
-  return nats;
+  const std::vector<FitRun> runs = fit_runs(set.noise_free);
+  const ExtendedEstimate found = fit_base(set.noise_free, set.answer.brake);
+  const double nats = nats_of(runs, fit_knowing_noise(runs, found, set.answer.noise));
+  if (!std::isnan(nats) || found.initial_states.size() != runs.size()) return nats;
+  // An effect can lead the estimator to where the filter gets lost.
+  ExtendedEstimate truth = found;
+  truth.parameters.base = set.answer.brake;
+  return nats_of(runs, fit_knowing_noise(runs, truth, set.answer.noise));
 }
 
 double nats_left(const BlindSet& set, const ExtendedParameters& model) {
   ExtendedEstimate estimate = fit_base(set.noise_free, set.answer.brake);
-  if (!estimate.possible) return std::numeric_limits<double>::quiet_NaN();
+  if (!estimate.possible) return kNaN;
   estimate.parameters.base = model.base;
-  for (const EffectValues& effect : model.effects) estimate = with_effect(estimate, effect);
-  estimate.noise = set.answer.noise;
   std::vector<FitRun> runs = fit_runs(set.noise_free);
-  for (const EffectValues& effect : model.effects) move_by(delays_of(effect), runs);
-  ExtendedFitOptions options;
-  options.estimate_noise = false;
-  estimate = fit_extended(runs, estimate, options);
-  if (!estimate.possible) return std::numeric_limits<double>::quiet_NaN();
-  double nats = 0.0;
-  for (const FilteredRun& run : filter_runs(runs, estimate))
-    for (const std::vector<double>* channel : {&run.force, &run.velocity})
-      for (const double innovation : *channel)
-        if (std::isfinite(innovation)) nats += 0.5 * innovation * innovation;
-  return nats;
+  for (const EffectValues& effect : model.effects) {
+    estimate = with_effect(estimate, effect);
+    move_by(delays_of(effect), runs);
+  }
+  return nats_of(runs, fit_knowing_noise(runs, estimate, set.answer.noise));
 }
 
 }  // namespace clampd::blind

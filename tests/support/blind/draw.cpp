@@ -62,7 +62,7 @@ HiddenEffect coulomb_load(Draw& d) {
 HiddenEffect friction_asymmetry(Draw& d) {
   const double value = d.sign() * d.log_uniform(0.0003, 0.006);
   const int form = d.integer(0, 2);
-  const double viscous = form == 2 ? std::copysign(d.uniform(0.05, 0.3), value) : 0.0;
+  const double viscous = form == 2 ? d.uniform(3.0, 15.0) * value : 0.0;
   const bool at_rest = form != 1;
   static constexpr std::array kForms = {"all dry friction", "Coulomb friction only",
                                         "dry and viscous friction"};
@@ -106,7 +106,7 @@ HiddenEffect ratio_error(Draw& d) {
                 [=](Physics& p) { p.ratio_error = value; });
 }
 HiddenEffect presliding(Draw& d) {
-  const double travel = d.log_uniform(0.0001, 0.05);
+  const double travel = d.log_uniform(0.0001, 0.006);
   const auto law = static_cast<Bristles>(d.integer(0, 2));
   const double damping = d.uniform(0.1, 0.8);
   static constexpr std::array kForms = {"Dahl", "LuGre", "elasto-plastic"};
@@ -379,7 +379,7 @@ constexpr std::array kStationRanges = {
     StationRange{"cogging", 0.003, 0.06, false},
     StationRange{"inertia-error", 0.0007, 0.014, true},
     StationRange{"ratio-error", 0.0013, 0.026, true},
-    StationRange{"presliding", 0.0001, 0.04, false},
+    StationRange{"presliding", 0.00005, 0.005, false},
     StationRange{"friction-drift", 0.0015, 0.03, true},
     StationRange{"stiffness-hysteresis", 0.0013, 0.027, false},
     StationRange{"pad-damping", 0.02, 0.8, false},
