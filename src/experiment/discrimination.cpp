@@ -291,7 +291,7 @@ std::string in_words(const Discrimination& design, std::span<const RivalModel> r
   if (!design.settles)
     return fmt::format(
         "{} cannot be told apart by any manoeuvre within the limits: {} runs of the best one found, {} in "
-        "{:.2f} s, would give {:.1f} nats between {} and {}, and {:.0f} would settle it",
+        "{:.2f} s, would give {:.1f} nats between {} and {}, and it takes {:.0f}",
         names, design.repeats, kind, duration_s, design.expected_evidence_nats, rivals[design.first].name,
         rivals[design.second].name, enough_nats);
   return fmt::format(
@@ -311,6 +311,7 @@ Result<void> DiscriminationOptions::validate() const {
                                                           {"force_limit_N", force_limit_N},
                                                           {"velocity_limit_rad_s", velocity_limit_rad_s},
                                                           {"shortest_s", shortest_s},
+                                                          {"wanted_nats", wanted_nats},
                                                           {"enough_nats", enough_nats}};
   for (const auto& [name, value] : positive)
     if (!std::isfinite(value) || !(value > 0.0))
@@ -381,9 +382,9 @@ Result<Discrimination> design_discrimination(std::span<const RivalModel> rivals,
   for (design.repeats = 1;; ++design.repeats) {
     design.expected_evidence_nats =
         comparison.evidence_after(*reference, design.repeats, kCarefulRelinearisations);
-    design.settles = design.expected_evidence_nats >= options.enough_nats;
-    if (design.settles || design.repeats == options.most_repeats) break;
+    if (design.expected_evidence_nats >= options.wanted_nats || design.repeats == options.most_repeats) break;
   }
+  design.settles = design.expected_evidence_nats >= options.enough_nats;
   design.why = in_words(design, rivals, best.kind, options.enough_nats);
   return design;
 }

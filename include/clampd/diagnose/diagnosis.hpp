@@ -121,8 +121,9 @@ struct RunView {
 struct NextExperiment {
   std::string manoeuvre;  ///< a name for it
   std::string why;
-  Run trajectory;  ///< of the nominal brake, as `clampctl simulate --trajectory` takes it
-  double expected_evidence_nats = 0.0;  ///< between the two rivals hardest to tell apart
+  Run trajectory;   ///< of the nominal brake, as `clampctl simulate --trajectory` takes it
+  int repeats = 1;  ///< of the trajectory that this takes
+  double expected_evidence_nats = 0.0;  ///< of all repeats, between the two rivals hardest to tell apart
 };
 
 struct Diagnosis {

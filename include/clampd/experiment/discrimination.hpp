@@ -29,7 +29,10 @@ struct DiscriminationOptions {
   double force_limit_N = 25e3;
   double velocity_limit_rad_s = 250.0;
   double shortest_s = 0.3, longest_s = 1.2;
-  double enough_nats = 12.0;  ///< between the rivals hardest to tell apart, over all repeats
+  /// Repeats are added until this is expected between the rivals hardest to tell apart: chance then hardly
+  /// turns the decision, whatever the runs so far say.
+  double wanted_nats = 30.0;
+  double enough_nats = 12.0;  ///< below this, over the most repeats, nothing is settled
   int most_repeats = 10;
   /// Number of the run, counted from the first that the rivals were fitted to: for what changes with it.
   double run_number = 0.0;

@@ -1,0 +1,88 @@
+#include "tools/diagnosis/settle.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "clampd/experiment/discrimination.hpp"
+
+namespace clampd {
+
+namespace {
+
+constexpr std::size_t kMostRivals = 3;
+
+Result<Discrimination> design_between(std::span<const Diagnosis::Rival> group, const NoiseLevels& noise,
+                                      const BrakeParameters& nominal, std::size_t runs_so_far) {
+  std::vector<RivalModel> rivals;
+  for (const Diagnosis::Rival& rival : group.first(std::min(group.size(), kMostRivals)))
+    rivals.push_back({rival.name, rival.model, rival.covariance});
+  DiscriminationOptions options;
+  options.run_number = static_cast<double>(runs_so_far);
+  return design_discrimination(rivals, noise, nominal, options);
+}
+
+std::string how_it_ended(const Settlement& settlement, const NextStep& left) {
+  const auto experiments = settlement.experiments.size();
+  const std::string after = experiments == 0   ? ""
+                            : experiments == 1 ? " after one experiment"
+                                               : fmt::format(" after {} experiments", experiments);
+  if (settlement.diagnosis.verdict != DiagnosisVerdict::Ambiguous)
+    return experiments == 0 ? "there is nothing to settle" : "settled" + after;
+  if (!left.experiment && !left.words.empty()) return fmt::format("not settled{}: {}", after, left.words);
+  return fmt::format("not settled{}", after);
+}
+
+}  // namespace
+
+NextStep next_step_for(const Diagnosis& diagnosis, const BrakeParameters& nominal, std::size_t runs_so_far) {
+  NextStep step;
+  if (diagnosis.verdict != DiagnosisVerdict::Ambiguous) return step;
+  for (const std::vector<Diagnosis::Rival>& group : diagnosis.rival_models) {
+    if (group.size() < 2) continue;
+    const Result<Discrimination> design = design_between(group, diagnosis.noise_after, nominal, runs_so_far);
+    if (!step.words.empty()) step.words += "; ";
+    if (!design) {
+      step.words += design.error().message;
+      continue;
+    }
+    step.words += design->why;
+    if (!design->settles) continue;
+    step.words = design->why;
+    step.experiment = NextExperiment{design->name, design->why, design->trajectory, design->repeats,
+                                     design->expected_evidence_nats};
+    break;
+  }
+  return step;
+}
+
+std::optional<NextExperiment> next_experiment_for(const Diagnosis& diagnosis,
+                                                  const BrakeParameters& nominal) {
+  return next_step_for(diagnosis, nominal).experiment;
+}
+
+Result<Settlement> settle(Diagnosis diagnosis, std::span<const Run> runs, const Drive& drive,
+                          const SettleOptions& options) {
+  Settlement settlement{std::move(diagnosis), {runs.begin(), runs.end()}, {}, {}};
+  NextStep step;
+  for (int round = 0; settlement.diagnosis.verdict == DiagnosisVerdict::Ambiguous; ++round) {
+    step = next_step_for(settlement.diagnosis, options.diagnose.nominal, settlement.runs.size());
+    if (!step.experiment || round == options.most_rounds) break;
+    if (options.announce) options.announce(*step.experiment);
+    Result<std::vector<Run>> driven = drive(step.experiment->trajectory, step.experiment->repeats);
+    if (!driven) return tl::unexpected(driven.error());
+    std::move(driven->begin(), driven->end(), std::back_inserter(settlement.runs));
+    settlement.experiments.push_back(std::move(*step.experiment));
+    step = {};
+    Result<Diagnosis> anew = diagnose(settlement.runs, options.diagnose);
+    if (!anew) return tl::unexpected(anew.error());
+    settlement.diagnosis = std::move(*anew);
+  }
+  settlement.diagnosis.next_experiment = step.experiment;
+  settlement.words = how_it_ended(settlement, step);
+  return settlement;
+}
+
+}  // namespace clampd
