@@ -21,6 +21,9 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 /// A misfit that takes off less than this share of the squared error is not worth a word.
 constexpr double kMaterialShare = 0.02;
 
+/// Of the chance of a false alarm, what a misfit without a name may take.
+constexpr double kUnnamedShare = 0.1;
+
 struct UnseenReason {
   std::string_view name, reason;
 };
@@ -222,7 +225,8 @@ std::vector<DependenceTest> dependences(const Fitted& model, const DriveFit& fit
   std::vector<DependenceTest> found;
   for (const std::string_view name : names) {
     const auto test = dependence_on(name, model, fit, static_cast<double>(names.size()));
-    if (test && test->holds && test->dependence.p_value < false_alarm && test->share > kMaterialShare)
+    if (test && test->holds && test->dependence.p_value < kUnnamedShare * false_alarm &&
+        test->share > kMaterialShare)
       found.push_back(*test);
   }
   std::sort(found.begin(), found.end(), [](const DependenceTest& a, const DependenceTest& b) {
