@@ -2,8 +2,11 @@
 
 #include <chrono>
 #include <optional>
+#include <utility>
 
 #include "clampd/base/clock.hpp"
+#include "clampd/experiment/reference.hpp"
+#include "clampd/record/checksum.hpp"
 #include "tools/assembly/check_conductor.hpp"
 
 namespace clampd::assembly {
@@ -50,6 +53,14 @@ Result<CheckRecord> EmbeddedStation::run_check(const CheckRequest& request, Chec
         !progress(status.phase.load(), status.repeat.load(), conductor.progress().repeats))
       core_.requests().stop.store(true);
   }
+}
+
+Result<void> EmbeddedStation::use_trajectory(const Run& trajectory) {
+  Result<Reference> reference = build_reference(trajectory, station_.configuration.model);
+  if (!reference) return tl::unexpected(reference.error());
+  station_.plan.reference = std::move(*reference);
+  station_.trajectory_sha256 = sha256_hex(format_run(trajectory));
+  return {};
 }
 
 }  // namespace clampd::assembly

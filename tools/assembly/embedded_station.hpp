@@ -6,6 +6,7 @@
 #include "clampd/archive/store.hpp"
 #include "clampd/base/result.hpp"
 #include "clampd/record/check_record.hpp"
+#include "clampd/record/run.hpp"
 #include "clampd/station/session.hpp"
 #include "drivers/can/can_brake.hpp"
 #include "drivers/can/embedded_bus.hpp"
@@ -27,8 +28,12 @@ class EmbeddedStation {
   /// How far a check is; false asks for an operator stop.
   using Progress = std::function<bool(CheckPhase phase, std::uint32_t repeat, std::uint32_t repeats)>;
 
-  /// One check from a station that just started to its record. Errors: the request is not valid.
+  /// One check to its record. Errors: the request is not valid.
   Result<CheckRecord> run_check(const CheckRequest& request, CheckStore* store, const Progress& progress);
+
+  /// Checks from now on replay this trajectory of the nominal brake, on the same brake, under the same limits
+  /// and supervisor. Errors: those of build_reference().
+  Result<void> use_trajectory(const Run& trajectory);
 
  private:
   void advance_one_period();

@@ -5,6 +5,7 @@
 #include <thread>
 
 #include <fmt/format.h>
+#include <nlohmann/json.hpp>
 
 #include "clampd/archive/json.hpp"
 #include "clampd/archive/store.hpp"
@@ -16,6 +17,7 @@
 #include "tools/assembly/embedded_station.hpp"
 #include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
+#include "tools/clampctl/settle_check.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 #include "tools/control/messages.hpp"
@@ -28,6 +30,7 @@ struct RunOptions {
   CheckRequest request;
   std::string simulated_brake;
   std::string json;
+  bool settle = false;
 };
 
 std::atomic<bool> interrupted{false};
@@ -60,18 +63,30 @@ int run_embedded(const RunOptions& options, StationConfiguration configuration) 
   if (!store) return cli::refuse(store.error());
 
   cli::ProgressLine line;
+  const assembly::EmbeddedStation::Progress progress = [&line](CheckPhase phase, std::uint32_t repeat,
+                                                               std::uint32_t repeats) {
+    show_progress(line, to_string(phase), repeat, repeats);
+    return !interrupted;
+  };
   assembly::EmbeddedStation station(std::move(*prepared), *plant);
-  const Result<CheckRecord> record = station.run_check(
-      options.request, &*store, [&line](CheckPhase phase, std::uint32_t repeat, std::uint32_t repeats) {
-        show_progress(line, to_string(phase), repeat, repeats);
-        return !interrupted;
-      });
+  const Result<CheckRecord> record = station.run_check(options.request, &*store, progress);
   line.clear();
   if (!record) return cli::refuse(record.error());
-  if (const Result<void> written = cli::write_json(options.json, check_json(*record)); !written)
+  const bool for_people = options.json != "-";
+  if (for_people) fmt::print("{}", format_check(*record, cli::colours_wanted()));
+  nlohmann::ordered_json document = check_json(*record);
+  int code = exit_code(record->verdict);
+  if (options.settle) {
+    SettledCheck settled = settle_check(*record, station, *store, configuration.model, progress, line);
+    line.clear();
+    if (for_people) fmt::print("\n{}", settled.text);
+    document["cause"] = std::move(settled.cause);
+    if (!settled.problem.empty()) cli::print_error(settled.problem);
+    code = settled.exit_code.value_or(code);
+  }
+  if (const Result<void> written = cli::write_json(options.json, document); !written)
     return cli::refuse(written.error());
-  if (options.json != "-") fmt::print("{}", format_check(*record, cli::colours_wanted()));
-  return exit_code(record->verdict);
+  return code;
 }
 
 int exit_code_of(const std::string& verdict) {
@@ -95,6 +110,13 @@ int daemon_lost(const RunOptions& options, const std::string& why) {
 
 int run_through_daemon(const RunOptions& options, const StationConfiguration& configuration) {
   using namespace std::chrono_literals;
+  if (options.settle)
+    return cli::refuse(
+        {"--settle works with the simulated brake of this process only: a daemon replays the trajectory of "
+         "its "
+         "configuration and no other. Check without --settle, give the runs to `clampctl diagnose`, and let "
+         "a "
+         "second check replay the experiment that it designs ([check] trajectory)"});
   const control::Client daemon(configuration.control.address, configuration.control.port,
                                configuration.control.token_file);
   if (const Result<control::StationStatus> status = daemon.status(); !status) {
@@ -171,6 +193,9 @@ void add_run_command(CLI::App& app, const CommonOptions& common, int& exit_code)
           "--simulated-brake", options->simulated_brake,
           "check a simulated brake, in virtual time and in this process, even if a daemon is configured")
       ->type_name("PLANT.toml");
+  command->add_flag("--settle", options->settle,
+                    "if the runs have several possible explanations, design the experiment that tells them "
+                    "apart, run it, and decide");
   command->add_option("--json", options->json, "write the result as clampd.check/1; - for standard output")
       ->type_name("FILE");
   command->callback([options, &common, &exit_code] { exit_code = run(*options, common); });

@@ -1,0 +1,104 @@
+#include "tools/clampctl/settle_check.hpp"
+
+#include <utility>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "clampd/diagnose/diagnosis.hpp"
+#include "clampd/station/session.hpp"
+#include "clampd/station/verdict.hpp"
+#include "tools/cli/exit_code.hpp"
+#include "tools/diagnosis/settle.hpp"
+#include "tools/diagnosis/summary.hpp"
+
+namespace clampd::ctl {
+
+namespace {
+
+nlohmann::ordered_json cause_json(const Settlement& settlement) {
+  const Diagnosis& diagnosis = settlement.diagnosis;
+  if (diagnosis.verdict == DiagnosisVerdict::Adequate) return nullptr;
+  nlohmann::ordered_json cause;
+  const bool explained = diagnosis.verdict == DiagnosisVerdict::Explained && !diagnosis.effects.empty();
+  cause["effect"] =
+      explained ? nlohmann::ordered_json(diagnosis.effects.front().name) : nlohmann::ordered_json(nullptr);
+  cause["verdict"] = to_string(diagnosis.verdict);
+  cause["effects"] = nlohmann::ordered_json::array();
+  for (const NamedEffect& effect : diagnosis.effects) cause["effects"].push_back(effect.name);
+  cause["rivals"] = diagnosis.rivals;
+  cause["experiments"] = nlohmann::ordered_json::array();
+  for (const NextExperiment& experiment : settlement.experiments)
+    cause["experiments"].push_back({{"manoeuvre", experiment.manoeuvre},
+                                    {"repeats", experiment.repeats},
+                                    {"expected_evidence_nats", experiment.expected_evidence_nats}});
+  return cause;
+}
+
+}  // namespace
+
+SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& station, CheckStore& store,
+                          const BrakeParameters& nominal, const assembly::EmbeddedStation::Progress& progress,
+                          cli::ProgressLine& line) {
+  SettledCheck settled;
+  if (record.fault != FaultCause::None || record.verdict == Verdict::Timeout || record.runs.empty()) {
+    settled.problem = "nothing to settle: the check did not end by itself";
+    return settled;
+  }
+  std::vector<Run> runs;
+  for (const RunRecord& run : record.runs) runs.push_back(run.run);
+
+  SettleOptions options;
+  options.diagnose.nominal = nominal;
+  options.diagnose.progress = [&line](double share, const std::string& words) { line.show(share, words); };
+  std::string announced;
+  options.announce = [&](const NextExperiment& next) {
+    line.clear();
+    announced += fmt::format("Next experiment: {}.\n", next.why);
+  };
+  const Drive drive = [&](const Run& trajectory, int repeats) -> Result<std::vector<Run>> {
+    if (const Result<void> usable = station.use_trajectory(trajectory); !usable)
+      return tl::unexpected(usable.error());
+    CheckRequest request;
+    request.serial = record.serial;
+    request.repeats = static_cast<std::uint32_t>(repeats);
+    request.operator_name = record.operator_name;
+    request.part_number = record.part_number;
+    request.batch = record.batch;
+    Result<CheckRecord> further = station.run_check(request, nullptr, progress);
+    if (!further) return tl::unexpected(further.error());
+    if (further->fault != FaultCause::None || further->verdict == Verdict::Timeout ||
+        further->runs.size() < request.repeats) {
+      settled.exit_code = exit_code(further->verdict);
+      std::string why = "the experiment did not end by itself: " + further->reason;
+      if (const Result<void> saved = store.save(*further); !saved)
+        why += "; and its record could not be saved: " + saved.error().message;
+      return failure(std::move(why));
+    }
+    std::vector<Run> driven;
+    for (RunRecord& run : further->runs) driven.push_back(std::move(run.run));
+    return driven;
+  };
+
+  Result<Diagnosis> first = diagnose(runs, options.diagnose);
+  if (!first) {
+    settled.problem = first.error().message;
+    return settled;
+  }
+  Result<Settlement> settlement = settle(*first, runs, drive, options);
+  if (!settlement) {
+    settled.text = announced + diagnosis_text(*first, {.runs = runs.size()}, cli::colours_wanted());
+    settled.cause = cause_json({.diagnosis = std::move(*first), .runs = {}, .experiments = {}, .words = {}});
+    settled.problem = settlement.error().message;
+    if (!settled.exit_code) settled.exit_code = cli::kStation;
+    return settled;
+  }
+  settled.text = announced + diagnosis_text(settlement->diagnosis, {.runs = settlement->runs.size()},
+                                            cli::colours_wanted());
+  if (!settlement->experiments.empty() || settlement->diagnosis.verdict == DiagnosisVerdict::Ambiguous)
+    settled.text += fmt::format("\nSettling: {}.\n", settlement->words);
+  settled.cause = cause_json(*settlement);
+  return settled;
+}
+
+}  // namespace clampd::ctl
