@@ -136,7 +136,8 @@ inline Diagnosis torn_brake() {
   diagnosis.rivals = {{"force-lag", "pad-relaxation"}};
   NextExperiment next;
   next.manoeuvre = "step and hold";
-  next.why = "A hold of 0.4 s at 20 kN tells creep from lag.";
+  next.why = "a hold of 0.4 s at 20 kN tells creep from lag: 2 runs should give 41 nats";
+  next.repeats = 2;
   next.expected_evidence_nats = 41.0;
   for (int k = 0; k < 400; ++k) {
     next.trajectory.time_s.push_back(1e-3 * k);

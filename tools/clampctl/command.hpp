@@ -16,6 +16,7 @@ struct CommonOptions {
 /// Each command declares its own options on `app` and leaves its exit code in `exit_code` when it runs.
 void add_run_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_identify_command(CLI::App& app, int& exit_code);
+void add_diagnose_command(CLI::App& app, int& exit_code);
 void add_design_command(CLI::App& app, int& exit_code);
 void add_simulate_command(CLI::App& app, int& exit_code);
 void add_reproduce_command(CLI::App& app, int& exit_code);

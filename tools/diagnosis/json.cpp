@@ -94,6 +94,7 @@ ordered_json next_json(const std::optional<NextExperiment>& next) {
   const Run& run = next->trajectory;
   return {{"manoeuvre", next->manoeuvre},
           {"why", next->why},
+          {"repeats", next->repeats},
           {"expected_evidence_nats", number_or_null(next->expected_evidence_nats)},
           {"duration_s", run.time_s.empty() ? 0.0 : run.time_s.back() - run.time_s.front()},
           {"rows", run.size()},

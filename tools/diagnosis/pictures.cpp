@@ -471,10 +471,22 @@ Spectrum angle_spectrum(std::span<const RunView> views, std::vector<double> RunV
 }
 
 std::optional<Figure> run_picture(const RunView& view, bool extended) {
-  Figure figure{.columns = 2, .width_px = 1000, .panel_height_px = 230};
+  Figure figure{.columns = 2, .width_px = 1000, .panel_height_px = 215};
   add_channel(figure.panels, view, view.force, "clamp force", "kN", 1e-3, "N", extended);
   add_channel(figure.panels, view, view.velocity, "velocity", "rad/s", 1.0, "rad/s", extended);
   if (figure.panels.empty()) return std::nullopt;
+  if (any_finite(view.torque_Nm) && any_finite(view.disturbance_before_Nm)) {
+    figure.panels.push_back({.x = {.label = "time (s)"},
+                             .y = {.label = "torque (N m)"},
+                             .layers = {line(view.time_s, view.torque_Nm, 1.0, "", kMeasured)}});
+    Panel error{.title = "torque error that the simulation needs",
+                .x = {.label = "time (s)"},
+                .y = {.label = "torque (mN m)"},
+                .layers = {line(view.time_s, view.disturbance_before_Nm, 1e3, "", kBefore)}};
+    if (extended && any_finite(view.disturbance_after_Nm))
+      error.layers.push_back(line(view.time_s, view.disturbance_after_Nm, 1e3, "", kAfter));
+    figure.panels.push_back(std::move(error));
+  }
   return figure;
 }
 

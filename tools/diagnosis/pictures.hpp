@@ -31,8 +31,9 @@ struct Spectrum {
 /// runs. Empty where no run turns the motor far enough.
 Spectrum angle_spectrum(std::span<const RunView> views, std::vector<double> RunView::*disturbance_Nm);
 
-/// A run's force and velocity against the simulation, and the differences. Nothing if the view has no
-/// simulation. `extended`: there is a model with effects to show beside the base model.
+/// A run's force and velocity against the simulation, the differences, and the torque error that it needs.
+/// Nothing if the view has no simulation. `extended`: there is a model with effects to show beside the base
+/// model.
 std::optional<report::Figure> run_picture(const RunView& view, bool extended);
 
 /// Mean residual over what it may depend on: in standard deviations of the readings, of a bare drive in its

@@ -81,7 +81,7 @@ std::string verdict_in_words(const Diagnosis& diagnosis) {
     case DiagnosisVerdict::Ambiguous:
       return "Ambiguous: the simulation does not agree with the runs, and more than one cause would explain "
              "it "
-             "nearly as well. These runs cannot tell which; a further run can.";
+             "nearly as well. These runs cannot tell which.";
     case DiagnosisVerdict::Unexplained:
       return "Unexplained: the simulation does not agree with the runs, and no known cause mends it.";
   }
@@ -102,8 +102,8 @@ std::string gain_in_words(const Diagnosis& diagnosis, const DiagnosisSubject& su
     add(fmt::format("the error of the {} that the motion needs", subject.effort()),
         &GainFigures::rms_torque_Nm, 4, subject.torque_unit + " rms");
   } else {
-    add("the error of the simulated force", &GainFigures::simulated_rms_force_N, 0, "N rms");
-    add("that of the velocity", &GainFigures::simulated_rms_velocity_rad_s, 2, "rad/s rms");
+    add("the error of the force predicted one sample ahead", &GainFigures::rms_force_N, 1, "N rms");
+    add("that of the velocity", &GainFigures::rms_velocity_rad_s, 3, "rad/s rms");
     add("the misfit", &GainFigures::misfit, 2, "times the noise floor");
   }
   return fmt::format("On {}, {}.", words::heldout_runs(*diagnosis.gain), words::enumeration(changes, "and"));
@@ -121,7 +121,7 @@ std::string next_step(const Diagnosis& diagnosis, const DiagnosisSubject& subjec
           subject.drive ? "" : " (--save writes it)");
     case DiagnosisVerdict::Ambiguous:
       return diagnosis.next_experiment
-                 ? "Run the manoeuvre below (--next writes it) and diagnose again with its run added."
+                 ? "Run the manoeuvre below (--next writes it) and diagnose again with its runs added."
                  : "Add runs with other manoeuvres and diagnose again.";
     case DiagnosisVerdict::Unexplained:
       return "Look where the misfit is and at what it depends on. Do not trust the parameters until the "
@@ -197,7 +197,9 @@ Result<void> add_runs(Page& page, const Diagnosis& diagnosis) {
     if (!begun) {
       page.section("Measured and simulated");
       page.paragraph(
-          "The simulation knows the recorded torque and the parameters. Of each manoeuvre the run with the "
+          "The simulation gets the recorded torque and, since that is noisy, the torque error that makes it "
+          "agree best. "
+          "How large that error had to be tells how far a model is off. Of each manoeuvre the run with the "
           "largest "
           "misfit is shown.");
       begun = true;
@@ -263,9 +265,9 @@ Result<void> add_disturbance(Page& page, const Diagnosis& diagnosis, const Diagn
       pictures::angle_spectrum(diagnosis.views, &RunView::disturbance_before_Nm);
   if (subject.position_unit == "rad" && !spectrum.amplitude.empty()) {
     const auto peak = std::max_element(spectrum.amplitude.begin(), spectrum.amplitude.end());
-    caption += fmt::format(" It is strongest at {:.1f} periods in a revolution: {:.3g} {} in the base model.",
+    caption += fmt::format(" It is strongest at {:.1f} periods in a revolution: {} in the base model.",
                            spectrum.frequency[static_cast<std::size_t>(peak - spectrum.amplitude.begin())],
-                           *peak, subject.torque_unit);
+                           words::quantity({"", subject.torque_unit, *peak}));
   }
   return page.figure(*picture, caption);
 }
@@ -345,8 +347,8 @@ void add_parameters(Page& page, const Diagnosis& diagnosis) {
   constexpr double kFarMoved_sd = 3.0;
   Table table{
       .caption =
-          "± one standard deviation. Moved: by how many of the extended model's standard deviations "
-          "the base model was wrong.",
+          "± one standard deviation. Moved: by how many of its own standard deviations the base model was "
+          "off.",
       .columns = {{"Parameter"}, {"Base model", true}, {"Extended model", true}, {"Moved (sd)", true}}};
   const auto text = [](const EstimatedParameter& parameter) {
     return std::isfinite(parameter.value) ? typographic(words::with_sd(parameter.value, parameter.sd)) : "";
@@ -370,12 +372,12 @@ Result<void> add_next_experiment(Page& page, const Diagnosis& diagnosis) {
     page.paragraph(fmt::format("These runs cannot tell apart: {}.", words::enumeration(group, "and")));
   if (!diagnosis.next_experiment) return {};
   const NextExperiment& next = *diagnosis.next_experiment;
-  page.paragraph(fmt::format("{} The difference expected is {:.0f} nats; ten are enough to decide.", next.why,
-                             next.expected_evidence_nats));
+  page.paragraph(sentence(next.why));
   const Figure picture = pictures::trajectory_picture(next.trajectory);
   if (picture.panels.empty()) return {};
-  return page.figure(picture,
-                     fmt::format("The designed manoeuvre, {}, of the nominal brake.", next.manoeuvre));
+  return page.figure(
+      picture, fmt::format("The designed manoeuvre ({}) of the nominal brake, to be run {}.", next.manoeuvre,
+                           next.repeats == 1 ? "once" : fmt::format("{} times", next.repeats)));
 }
 
 void add_unseen(Page& page, const Diagnosis& diagnosis) {

@@ -76,16 +76,14 @@ void add_rivals(Text& text, const Diagnosis& diagnosis) {
   text.heading("Not to be told apart by these runs");
   for (const std::vector<std::string>& group : diagnosis.rivals)
     text.add("  {}\n", words::enumeration(group, "or"));
-  if (diagnosis.next_experiment)
-    text.add("  {} would settle it ({:.0f} nats expected): {}\n", diagnosis.next_experiment->manoeuvre,
-             diagnosis.next_experiment->expected_evidence_nats, diagnosis.next_experiment->why);
+  if (diagnosis.next_experiment) text.add("  to settle it: {}\n", diagnosis.next_experiment->why);
 }
 
 void add_misfit(Text& text, const Diagnosis& diagnosis) {
   const Misfit& misfit = diagnosis.misfit;
   if (diagnosis.verdict == DiagnosisVerdict::Adequate) return;
   if (words::depends_on(misfit).empty() && !misfit.location) return;
-  text.heading("What the misfit depends on");
+  text.heading(words::depends_on(misfit).empty() ? "Where the misfit is" : "What the misfit depends on");
   if (misfit.location) text.add("  {}\n", words::meaning(*misfit.location));
   for (const Dependence& dependence : misfit.dependences)
     if (dependence.p_value < words::kSignificant)

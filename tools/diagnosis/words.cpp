@@ -223,9 +223,9 @@ std::vector<GainRow> gain_rows(const Diagnosis& diagnosis, const DiagnosisSubjec
   };
   add("force, one sample ahead (N rms)", &GainFigures::rms_force_N, decimals(1), true);
   add("velocity, one sample ahead (rad/s rms)", &GainFigures::rms_velocity_rad_s, decimals(3), true);
-  add("force, simulated from the start (N rms)", &GainFigures::simulated_rms_force_N, decimals(1), true);
-  add("velocity, simulated from the start (rad/s rms)", &GainFigures::simulated_rms_velocity_rad_s,
-      decimals(3), true);
+  add("force, simulated with the torque errors (N rms)", &GainFigures::simulated_rms_force_N, decimals(1),
+      true);
+  add("velocity, the same (rad/s rms)", &GainFigures::simulated_rms_velocity_rad_s, decimals(3), true);
   add(fmt::format("{} that the motion needs ({} rms)", subject.effort(), subject.torque_unit),
       &GainFigures::rms_torque_Nm, decimals(4), true);
   add(fmt::format("the same, of the {}'s own rms", subject.effort()), &GainFigures::torque_error_relative,
@@ -246,7 +246,7 @@ std::vector<ParameterRow> parameter_rows(const Diagnosis& diagnosis) {
     const auto same = std::find_if(diagnosis.parameters_before.begin(), diagnosis.parameters_before.end(),
                                    [&](const EstimatedParameter& other) { return other.name == after.name; });
     if (same != diagnosis.parameters_before.end()) row.before = *same;
-    row.moved_sd = (after.value - row.before.value) / after.sd;
+    row.moved_sd = (after.value - row.before.value) / row.before.sd;
     rows.push_back(std::move(row));
   }
   return rows;

@@ -69,7 +69,7 @@ std::vector<GainRow> gain_rows(const Diagnosis& diagnosis, const DiagnosisSubjec
 struct ParameterRow {
   EstimatedParameter before;  ///< NaN for a parameter of an effect
   EstimatedParameter after;
-  double moved_sd;  ///< the change over the standard deviation after; NaN where there is none
+  double moved_sd;  ///< the change over the standard deviation before; NaN where there is none
 };
 
 std::vector<ParameterRow> parameter_rows(const Diagnosis& diagnosis);
