@@ -67,7 +67,7 @@ struct Options {
   std::uint64_t seed = 1;
   std::uint64_t only = 0;
   std::string kind = "single", generator = "both", effect, json, keep;
-  bool reduced = false, list_wrong = false;
+  bool reduced = false, list = false, list_wrong = false;
   unsigned jobs = 0;
 };
 
@@ -435,6 +435,7 @@ std::string describe(const Score& score) {
     text += fmt::format(", {} {:.1f} sd off", score.worst_parameter, score.worst_parameter_sds);
   if (score.heldout_misfit > kNoiseFloor)
     text += fmt::format(", held-out misfit {:.2f}", score.heldout_misfit);
+  text += fmt::format(", {:.1f} s", score.cpu_s);
   return text;
 }
 
@@ -511,7 +512,7 @@ std::vector<Score> diagnose_all(const std::vector<Request>& requests, const Opti
       const std::scoped_lock lock(terminal);
       ++done;
       if (progress) fmt::print(stderr, "\r{} of {} sets", done, requests.size());
-      if (options.list_wrong && is_failure(scores[i])) {
+      if (options.list || (options.list_wrong && is_failure(scores[i]))) {
         fmt::print("{}{}\n", progress ? "\r" : "", describe(scores[i]));
         std::fflush(stdout);
       }
@@ -574,6 +575,7 @@ int run(int argc, char** argv) {
       ->check(CLI::IsMember({"both", "station", "independent"}));
   app.add_option("--effect", options.effect, "always this one");
   app.add_flag("--reduced", options.reduced, "a random part of the runs only");
+  app.add_flag("--list", options.list, "every set");
   app.add_flag("--list-wrong", options.list_wrong, "every failure, with the seed that repeats it");
   app.add_option("--json", options.json, "file for the score of each set");
   app.add_option("--keep", options.keep, "folder where the run files stay");
