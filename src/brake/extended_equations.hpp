@@ -24,8 +24,10 @@ class ExtendedEquations {
     for (std::size_t i = 0; i < kParameterCount; ++i)
       theta_[i] = T(parameters.base.theta[static_cast<Eigen::Index>(i)]);
     T* own = own_;
-    for (const EffectValues& values : parameters.effects)
+    for (const EffectValues& values : parameters.effects) {
       for (const double value : values.values) *own++ = T(value);
+      has_own_states_ = has_own_states_ || values.effect->info().states > 0;
+    }
   }
 
   T& number(const ExtendedBrake::Place& place) {
@@ -63,14 +65,18 @@ class ExtendedEquations {
   void advance(T* states, const T& torque, const RowInput& row,
                const ExtendedEquations<double>& values) const {
     effects_detail::TorqueInput<T> input{torque, T(row.next_torque_Nm), row.gap_s};
+    const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * substeps_;
     T next[ExtendedBrake::kMostStates];
     std::copy(states, states + ExtendedBrake::kMostStates, next);
     each(states,
          [&](const auto& effect, const auto& own, int at) { effect.on_torque(input, own, next + at); });
+    if (!has_own_states_) {
+      for (int i = 0; i < steps; ++i) step(states, input.torque_Nm, row, row.gap_s / steps, values);
+      return;
+    }
     const T force_before = force_at(states, row);
     const T velocity_before = states[1];
     std::copy(next, next + ExtendedBrake::kMostStates, states);
-    const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * substeps_;
     for (int i = 0; i < steps; ++i) step(states, input.torque_Nm, row, row.gap_s / steps, values);
     const effects_detail::Transit<T> transit{row.gap_s, force_before, force_at(states, row), velocity_before,
                                              states[1]};
@@ -209,6 +215,11 @@ class ExtendedEquations {
 
   void finish(T* states, const Reached& reached, const T& elapsed, const T& torque, const RowInput& row,
               double direction) const {
+    if (!has_own_states_) {
+      states[0] = reached.position;
+      states[1] = reached.velocity;
+      return;
+    }
     effects_detail::Instant<T> end = start_of(row, direction);
     complete(end, reached.position, reached.velocity, reached.position - states[0], elapsed, torque, states);
     T next[ExtendedBrake::kMostStates];
@@ -262,6 +273,7 @@ class ExtendedEquations {
   T theta_[kParameterCount];
   T own_[kMostOwn];
   int substeps_;
+  bool has_own_states_ = false;  ///< else nothing is to be remembered from row to row
 };
 
 }  // namespace clampd

@@ -31,6 +31,7 @@ constexpr double kScanFirst = 0.4;
 constexpr double kScanLast = 40.0;
 constexpr double kScanStep = 0.12;
 constexpr std::size_t kPeaks = 3;
+constexpr Eigen::Index kScanTogether = 64;  // orders that fit the cache
 
 std::vector<std::vector<double>> combinations(const Effect& effect, std::span<const Run> recorded,
                                               bool all_choices) {
@@ -124,39 +125,41 @@ void keep_if_better(Hypothesis&& other, Hypothesis& kept) {
   if (!kept.possible() || other.log_likelihood() > kept.log_likelihood()) kept = std::move(other);
 }
 
-/// Points of a run where an effect that is a torque over the angle is looked for.
+/// Where a torque that is periodic in the motor angle promises most.
 void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
   const std::vector<FilteredRun> filtered = filter_runs(hypothesis.runs, hypothesis.estimate);
   if (filtered.empty()) return;
   const auto orders = static_cast<Eigen::Index>((kScanLast - kScanFirst) / kScanStep) + 1;
-  SignalColumns signals{SignalColumns::Kind::Torque, {}};
-  for (const FilteredRun& run : filtered) {
-    Eigen::MatrixXd rows(static_cast<Eigen::Index>(run.position_rad.size()), 2 * orders);
-    for (Eigen::Index k = 0; k < rows.rows(); ++k) {
-      const double position = run.position_rad[static_cast<std::size_t>(k)];
-      for (Eigen::Index i = 0; i < orders; ++i) {
-        const double angle = (kScanFirst + kScanStep * static_cast<double>(i)) * position;
-        rows(k, 2 * i) = -std::sin(angle);
-        rows(k, 2 * i + 1) = -std::cos(angle);
-      }
-    }
-    signals.rows.push_back(std::move(rows));
-  }
-  const SignalScores scores = score_signals(hypothesis.runs, hypothesis.estimate, signals, 2);
+  const EffectInfo& info = info_of(*candidate.effect);
   std::vector<Start> found;
-  for (Eigen::Index i = 0; i < orders; ++i) {
-    const Eigen::Matrix2d information = scores.information.block<2, 2>(2 * i, 2 * i);
-    const Eigen::Vector2d score = scores.score.segment<2>(2 * i);
-    if (!(information.determinant() > 1e-9 * information.trace() * information.trace())) continue;
-    const Eigen::Vector2d amplitude = information.ldlt().solve(score);
-    const EffectInfo& info = info_of(*candidate.effect);
-    Start start{
-        {candidate.effect, {amplitude[0], amplitude[1], kScanFirst + kScanStep * static_cast<double>(i)}},
-        0.5 * score.dot(amplitude)};
-    for (std::size_t p = 0; p < 2; ++p)
-      start.values.values[p] =
-          std::clamp(start.values.values[p], 0.9 * info.parameters[p].lower, 0.9 * info.parameters[p].upper);
-    found.push_back(start);
+  for (Eigen::Index first = 0; first < orders; first += kScanTogether) {
+    const Eigen::Index count = std::min(kScanTogether, orders - first);
+    const auto order = [&](Eigen::Index i) {
+      return kScanFirst + kScanStep * static_cast<double>(first + i);
+    };
+    SignalColumns signals{SignalColumns::Kind::Torque, {}};
+    for (const FilteredRun& run : filtered) {
+      Eigen::MatrixXd rows(static_cast<Eigen::Index>(run.position_rad.size()), 2 * count);
+      for (Eigen::Index i = 0; i < count; ++i)
+        for (Eigen::Index k = 0; k < rows.rows(); ++k) {
+          const double angle = order(i) * run.position_rad[static_cast<std::size_t>(k)];
+          rows(k, 2 * i) = -std::sin(angle);
+          rows(k, 2 * i + 1) = -std::cos(angle);
+        }
+      signals.rows.push_back(std::move(rows));
+    }
+    const SignalScores scores = score_signals(hypothesis.runs, hypothesis.estimate, signals, 2);
+    for (Eigen::Index i = 0; i < count; ++i) {
+      const Eigen::Matrix2d information = scores.information.block<2, 2>(2 * i, 2 * i);
+      const Eigen::Vector2d score = scores.score.segment<2>(2 * i);
+      if (!(information.determinant() > 1e-9 * information.trace() * information.trace())) continue;
+      const Eigen::Vector2d amplitude = information.ldlt().solve(score);
+      Start start{{candidate.effect, {amplitude[0], amplitude[1], order(i)}}, 0.5 * score.dot(amplitude)};
+      for (std::size_t p = 0; p < 2; ++p)
+        start.values.values[p] = std::clamp(start.values.values[p], 0.9 * info.parameters[p].lower,
+                                            0.9 * info.parameters[p].upper);
+      found.push_back(std::move(start));
+    }
   }
   std::sort(found.begin(), found.end(),
             [](const Start& a, const Start& b) { return a.predicted_gain > b.predicted_gain; });
@@ -243,13 +246,6 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis) {
       reached = gain();
     }
   }
-  if (best.possible() && noise > kSuspiciousTorque_Nm &&
-      best.estimate.noise.torque_Nm > kSuspiciousTorque_Nm) {
-    // From a filter that believes the torque: where its own noise hid the effect.
-    for (std::size_t s = 0; s < std::min<std::size_t>(2, candidate.starts.size()); ++s)
-      attempt(candidate.starts[s], kModestTorque_Nm);
-    attempt({best.estimate.parameters.effects.back(), 0.0}, kModestTorque_Nm);
-  }
   candidate.gain = std::max(0.0, gain());
   if (best.possible()) {
     best.degrees = hypothesis.degrees + candidate.degrees;
@@ -259,10 +255,22 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis) {
 }
 
 void finish(Candidate& candidate, const Hypothesis& hypothesis) {
-  if (!candidate.fitted.possible() || candidate.fitted.estimate.settled) return;
-  Hypothesis further = candidate.fitted;
-  refit(further);
-  keep_if_better(std::move(further), candidate.fitted);
+  if (!candidate.fitted.possible()) return;
+  if (!candidate.fitted.estimate.settled) {
+    Hypothesis further = candidate.fitted;
+    refit(further);
+    keep_if_better(std::move(further), candidate.fitted);
+  }
+  if (candidate.fitted.estimate.noise.torque_Nm > kSuspiciousTorque_Nm) {
+    // From a filter that believes the torque: where its own noise hid the effect.
+    std::vector<EffectValues> from{candidate.fitted.estimate.parameters.effects.back()};
+    for (std::size_t i = 0; i < std::min<std::size_t>(2, candidate.starts.size()); ++i)
+      from.push_back(candidate.starts[i].values);
+    for (const EffectValues& values : from)
+      keep_if_better(
+          fitted_from({values, 0.0}, hypothesis, kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
+          candidate.fitted);
+  }
   candidate.gain = std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood());
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
