@@ -66,8 +66,7 @@ struct Units {
                          : torque == "N" ? "kg"
                                          : "A s^2/" + position),
         per_velocity_squared(torque + " s^2/" + position + "^2"),
-        order(model.linear ? "1/m" : "1/rev"),
-        per_time(torque) {}
+        order(model.linear ? "1/m" : "1/rev") {}
 };
 
 /// Where a component's coefficients stand in the model's.
