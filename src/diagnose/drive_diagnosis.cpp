@@ -54,8 +54,7 @@ std::string_view name_of(DriveTerm term) {
 
 /// Of a torque per velocity, acceleration and so on.
 struct Units {
-  std::string torque, position, velocity, per_velocity, per_acceleration, per_velocity_squared, order,
-      per_time;
+  std::string torque, position, velocity, per_velocity, per_acceleration, per_velocity_squared, order;
 
   explicit Units(const DriveModel& model)
       : torque(model.torque_unit),
