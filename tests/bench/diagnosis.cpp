@@ -50,7 +50,7 @@ enum class Outcome {
   ManyRivals,   ///< ambiguous, what is hidden among more
   FalseRivals,  ///< ambiguous without what is hidden
   TwinNamed,    ///< named is a twin of what is hidden
-  Extra,        ///< named is what is hidden, and something else too
+  Extra,        ///< named, or among rivals, is what is hidden, and something else besides
   Wrong,        ///< named is something else
   Unexplained,
   Missed,  ///< called adequate
@@ -134,7 +134,7 @@ bool contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }
 
-/// What is hidden is certain or among few enough rivals, each in a group of its own.
+/// Each hidden effect must be certain or in a group of rivals of its own, and nothing else be put forward.
 Outcome of_ambiguous(const Score& score) {
   std::set<std::size_t> used;
   bool many = false;
@@ -148,6 +148,11 @@ Outcome of_ambiguous(const Score& score) {
     }
     if (!found && !contains(score.named, effect.name)) return Outcome::FalseRivals;
   }
+  const auto certain = std::count_if(score.named.begin(), score.named.end(), [&](const std::string& name) {
+    return std::none_of(score.rivals.begin(), score.rivals.end(),
+                        [&](const std::vector<std::string>& group) { return contains(group, name); });
+  });
+  if (score.rivals.size() + static_cast<std::size_t>(certain) > score.hidden.size()) return Outcome::Extra;
   return many ? Outcome::ManyRivals : Outcome::Rival;
 }
 
@@ -374,7 +379,8 @@ std::string column_of(const Score& score) {
     case DiagnosisVerdict::Unexplained:
       return "unexplained";
     case DiagnosisVerdict::Ambiguous:
-      return score.outcome == Outcome::FalseRivals ? "false rivals" : "right rivals";
+      return score.outcome == Outcome::Rival || score.outcome == Outcome::ManyRivals ? "right rivals"
+                                                                                     : "false rivals";
     case DiagnosisVerdict::Explained:
       return score.named.size() == 1 ? score.named.front() : "several";
   }
