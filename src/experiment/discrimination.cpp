@@ -27,6 +27,10 @@ constexpr double kNominalShare = 0.9;
 constexpr double kLeastForce_N = 300.0;
 constexpr double kMostOpening_rad = 12.0;
 constexpr double kShortestSegment_s = 0.01;
+/// Of the rivals while the search goes on.
+constexpr int kSearchRelinearisations = 1;
+/// Prototypes whose rivals may answer as well as they can before some are chosen.
+constexpr std::size_t kLookedAtAgain = 24;
 /// A prototype that is too fast is tried again, slower.
 constexpr double kSlower = 1.3;
 constexpr int kSlowerTries = 5;
@@ -73,6 +77,9 @@ std::vector<Prototype> prototypes() {
                      {to(t_s, force_N), to(0.2, force_N), open_to(t_s, 0.0), open_to(0.1, 0.0)}});
     }
     all.push_back({"a fast step and a hold", {to(0.08, force_N), to(0.5, force_N)}});
+    all.push_back(
+        {"a fast step and a partial release",
+         {to(0.1, force_N), to(0.08, force_N), to(0.06, 0.65 * force_N), to(0.06, 0.65 * force_N)}});
     all.push_back({"a slow ramp", {to(0.7, force_N), to(0.1, force_N), open_to(0.2, 0.0)}});
     all.push_back({"apply out of the clearance",
                    {open_to(0.15, 6.0), to(0.15, force_N), open_to(0.15, 6.0), to(0.15, force_N)}});
@@ -215,8 +222,9 @@ class Search {
     return candidate;
   }
 
-  Candidate refined(const Candidate& start) const {
+  Candidate refined(const Candidate& start, int evaluations) const {
     Refinement refinement{*this, Knobs(start.segments, options_), start};
+    refinement.best.rate = -std::numeric_limits<double>::infinity();
     const Knobs& knobs = refinement.knobs;
     const auto size = static_cast<unsigned>(knobs.start.size());
     struct Deleter {
@@ -228,7 +236,7 @@ class Search {
     nlopt_set_lower_bounds(optimiser.get(), knobs.lower.data());
     nlopt_set_upper_bounds(optimiser.get(), knobs.upper.data());
     nlopt_set_initial_step(optimiser.get(), knobs.step.data());
-    nlopt_set_maxeval(optimiser.get(), options_.refinement_evaluations);
+    nlopt_set_maxeval(optimiser.get(), evaluations);
     nlopt_set_xtol_abs1(optimiser.get(), 2e-3);
     std::vector<double> x = knobs.start;
     double reached = 0.0;
@@ -247,7 +255,7 @@ class Search {
     auto& refinement = *static_cast<Refinement*>(data);
     const Search& search = refinement.search;
     Segments segments = refinement.knobs.at(x, search.options_);
-    const double rate = search.rate_of(segments);
+    const double rate = search.rate_of(segments, kSearchRelinearisations);
     if (rate > refinement.best.rate) {
       refinement.best.rate = rate;
       refinement.best.segments = std::move(segments);
@@ -347,6 +355,12 @@ Result<Discrimination> design_discrimination(std::span<const RivalModel> rivals,
     return failure(
         "no manoeuvre within the limits that all rivals can do; are their parameters those of a brake?");
 
+  in_parallel(std::min(candidates.size(), kLookedAtAgain), options.threads, [&](std::size_t i) {
+    candidates[i].rate = search.rate_of(candidates[i].segments, kCarefulRelinearisations);
+  });
+  candidates.resize(std::min(candidates.size(), kLookedAtAgain));
+  by_rate(candidates);
+
   // The best, and the best of other kinds.
   std::vector<Candidate> kept;
   for (int round = 0; round < 2; ++round)
@@ -356,9 +370,11 @@ Result<Discrimination> design_discrimination(std::span<const RivalModel> rivals,
           kept.begin(), kept.end(), [&](const Candidate& other) { return other.kind == candidate.kind; });
       if (of_kind == round) kept.push_back(candidate);
     }
-  in_parallel(kept.size(), options.threads, [&](std::size_t i) { kept[i] = search.refined(kept[i]); });
-  kept.insert(kept.end(), candidates.begin(),
-              candidates.begin() + std::min<std::ptrdiff_t>(3, std::ssize(candidates)));
+  const auto pairs = static_cast<int>(rivals.size() * (rivals.size() - 1) / 2);
+  const int evaluations = std::max(1, options.refinement_evaluations / pairs);
+  in_parallel(kept.size(), options.threads,
+              [&](std::size_t i) { kept[i] = search.refined(kept[i], evaluations); });
+  kept.push_back(candidates.front());
   // From here on with rivals that answer as well as they can.
   in_parallel(kept.size(), options.threads, [&](std::size_t i) {
     kept[i].rate = search.rate_of(kept[i].segments, kCarefulRelinearisations);

@@ -12,13 +12,12 @@ namespace clampd {
 
 namespace {
 
-constexpr std::size_t kMostRivals = 3;
+constexpr std::ptrdiff_t kMostRivals = 3;
 
 Result<Discrimination> design_between(std::span<const Diagnosis::Rival> group, const NoiseLevels& noise,
                                       const BrakeParameters& nominal, std::size_t runs_so_far) {
   std::vector<RivalModel> rivals;
-  for (const Diagnosis::Rival& rival : group.first(std::min(group.size(), kMostRivals)))
-    rivals.push_back({rival.name, rival.model, rival.covariance});
+  for (const Diagnosis::Rival& rival : group) rivals.push_back({rival.name, rival.model, rival.covariance});
   DiscriminationOptions options;
   options.run_number = static_cast<double>(runs_so_far);
   return design_discrimination(rivals, noise, nominal, options);
@@ -42,16 +41,21 @@ NextStep next_step_for(const Diagnosis& diagnosis, const BrakeParameters& nomina
   if (diagnosis.verdict != DiagnosisVerdict::Ambiguous) return step;
   for (const std::vector<Diagnosis::Rival>& group : diagnosis.rival_models) {
     if (group.size() < 2) continue;
-    const Result<Discrimination> design = design_between(group, diagnosis.noise_after, nominal, runs_so_far);
-    if (!step.words.empty()) step.words += "; ";
-    if (!design) {
-      step.words += design.error().message;
-      continue;
+    std::vector<Diagnosis::Rival> rivals(group.begin(),
+                                         group.begin() + std::min(std::ssize(group), kMostRivals));
+    Result<Discrimination> design = design_between(rivals, diagnosis.noise_after, nominal, runs_so_far);
+    std::string words = design ? design->why : design.error().message;
+    if (design && !design->settles && rivals.size() > 2) {
+      // Two of them are twins; whether it is one of those or another may still be told.
+      rivals.erase(rivals.begin() + static_cast<std::ptrdiff_t>(design->second));
+      design = design_between(rivals, diagnosis.noise_after, nominal, runs_so_far);
+      if (design && design->settles) words += "; but " + design->why;
     }
-    step.words += design->why;
-    if (!design->settles) continue;
-    step.words = design->why;
-    step.experiment = NextExperiment{design->name, design->why, design->trajectory, design->repeats,
+    if (!step.words.empty()) step.words += "; ";
+    step.words += words;
+    if (!design || !design->settles) continue;
+    step.words = words;
+    step.experiment = NextExperiment{design->name, words, design->trajectory, design->repeats,
                                      design->expected_evidence_nats};
     break;
   }

@@ -37,7 +37,7 @@ struct DiscriminationOptions {
   /// Number of the run, counted from the first that the rivals were fitted to: for what changes with it.
   double run_number = 0.0;
   int prototypes_kept = 6;          ///< that are refined, each of another kind or far apart
-  int refinement_evaluations = 90;  ///< of each
+  int refinement_evaluations = 80;  ///< of each, shared by the pairs
   int threads = 0;                  ///< 0: as many as the machine has. The result does not depend on it.
 
   Result<void> validate() const;
