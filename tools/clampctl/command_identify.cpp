@@ -1,9 +1,12 @@
 #include <cmath>
 #include <memory>
+#include <optional>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "clampd/brake/extended_brake.hpp"
+#include "clampd/identify/extended_identification.hpp"
 #include "clampd/identify/profile.hpp"
 #include "clampd/record/run.hpp"
 #include "tools/clampctl/command.hpp"
@@ -18,11 +21,13 @@ struct IdentifyOptions {
   std::vector<std::string> files;
   std::string method = "oem";
   std::string parameters;
+  std::string model;
   std::vector<std::string> held;
   std::vector<std::string> profiles;
   bool robust = false;
   std::string json;
   EstimatorOptions estimator;
+  std::optional<ExtendedParameters> extended;  ///< of the model file
 };
 
 /// Beyond this correlation two parameters are hard to tell apart.
@@ -70,6 +75,27 @@ nlohmann::ordered_json profile_json(const Profile& profile) {
           {"points", std::move(points)}};
 }
 
+/// One entry an effect of the model; none if there is no estimate.
+nlohmann::ordered_json effects_json(const Estimate& summary, const ExtendedParameters& model) {
+  nlohmann::ordered_json effects = nlohmann::ordered_json::array();
+  std::size_t next = 0;
+  for (const EffectValues& values : model.effects) {
+    const std::size_t count = info_of(*values.effect).parameters.size();
+    if (next + count > summary.effects.size()) break;
+    nlohmann::ordered_json parameters = nlohmann::ordered_json::array();
+    for (std::size_t i = 0; i < count; ++i) {
+      const EffectEstimate& estimate = summary.effects[next + i];
+      parameters.push_back({{"name", estimate.parameter},
+                            {"unit", estimate.unit},
+                            {"value", number_or_null(estimate.value)},
+                            {"sd", number_or_null(estimate.sd)}});
+    }
+    effects.push_back({{"name", info_of(*values.effect).name}, {"parameters", std::move(parameters)}});
+    next += count;
+  }
+  return effects;
+}
+
 nlohmann::ordered_json identify_json(const Estimate& summary, const IdentifyOptions& options,
                                      const std::vector<Profile>& profiles) {
   const ParameterVector nominal = nominal_parameters();
@@ -104,11 +130,26 @@ nlohmann::ordered_json identify_json(const Estimate& summary, const IdentifyOpti
   document["fit"] = {{"force_rms_N", number_or_null(summary.force_rms_N)},
                      {"velocity_rms_rad_s", number_or_null(summary.velocity_rms_rad_s)},
                      {"log_likelihood", number_or_null(summary.log_likelihood)}};
+  if (options.extended) document["effects"] = effects_json(summary, *options.extended);
   if (!profiles.empty()) {
     auto& list = document["profiles"] = nlohmann::ordered_json::array();
     for (const Profile& profile : profiles) list.push_back(profile_json(profile));
   }
   return document;
+}
+
+void print_effects(const Estimate& summary) {
+  if (summary.effects.empty()) return;
+  fmt::print("\n");
+  for (const EffectEstimate& effect : summary.effects) {
+    const std::string name = fmt::format("{}.{}", effect.effect, effect.parameter);
+    if (!std::isfinite(effect.value))
+      fmt::print("  {:<32} not identifiable from these data\n", name);
+    else if (!std::isfinite(effect.sd))
+      fmt::print("  {:<32} {:>12.5g} {:>11}  {}\n", name, effect.value, "as given", effect.unit);
+    else
+      fmt::print("  {:<32} {:>12.5g} {:>11.2g}  {}\n", name, effect.value, effect.sd, effect.unit);
+  }
 }
 
 void print_table(const Estimate& summary, const IdentifyOptions& options,
@@ -138,6 +179,7 @@ void print_table(const Estimate& summary, const IdentifyOptions& options,
       fmt::print("  {:<5} {:>12.5g} {:>11.2g}  {:<11} {:>11.4f} {:>9.4f}\n", info.name, value,
                  sd * std::abs(nominal[i]), info.unit, value / nominal[i], sd);
   }
+  print_effects(summary);
   fmt::print("\n  noise: force {:.3g} N, velocity {:.3g} rad/s, torque {:.2g} N m\n", summary.noise_force_N,
              summary.noise_velocity_rad_s, summary.noise_torque_Nm);
   fmt::print("  {}: force {:.1f} N rms, velocity {:.3f} rad/s rms\n",
@@ -173,6 +215,13 @@ int identify_files(IdentifyOptions options) {
   if (const Result<void> writable = cli::check_writable(options.json); !writable)
     return cli::refuse(writable.error());
   EstimatorOptions& settings = options.estimator;
+  if (!options.model.empty()) {
+    Result<ExtendedParameters> model = read_extended_parameters(options.model);
+    if (!model) return cli::refuse(model.error());
+    settings.start = model->base;
+    options.extended = std::move(*model);
+    options.method = to_string(Method::PredictionError);
+  }
   if (!options.parameters.empty()) {
     Result<BrakeParameters> start = read_brake_parameters(options.parameters);
     if (!start) return cli::refuse(start.error());
@@ -201,7 +250,8 @@ int identify_files(IdentifyOptions options) {
     runs.push_back(std::move(loaded->run));
   }
   const Method method = *parse_method(options.method);
-  const Estimate summary = identify(method, runs, settings);
+  const Estimate summary = options.extended ? identify_extended(runs, *options.extended, settings)
+                                            : identify(method, runs, settings);
   std::vector<Profile> profiles;
   if (summary.converged()) {
     cli::ProgressLine progress;
@@ -239,6 +289,11 @@ void add_identify_command(CLI::App& app, int& exit_code) {
       ->add_option("--parameters", options->parameters,
                    "start values and fixed J, N (default: the paper's Table I)")
       ->type_name("FILE.toml");
+  command
+      ->add_option("--model", options->model,
+                   "estimate the effects of this model too, as `clampctl diagnose --save` writes it; by the "
+                   "prediction error method, from the model's own values")
+      ->type_name("MODEL.toml");
   command->add_option("--hold", options->held, "parameters that stay at their start value")
       ->type_name("NAME");
   command->add_flag(
@@ -258,7 +313,18 @@ void add_identify_command(CLI::App& app, int& exit_code) {
       ->type_name("NAME");
   command->add_option("--json", options->json, "write the result as clampd.identify/1; - for standard output")
       ->type_name("FILE");
-  command->callback([options, &exit_code] { exit_code = identify_files(*options); });
+  for (const char* other : {"--parameters", "--profile", "--robust"})
+    command->get_option("--model")->excludes(command->get_option(other));
+  command->callback([options, command, &exit_code] {
+    if (!options->model.empty() && command->count("--method") > 0 &&
+        options->method == to_string(Method::OutputError)) {
+      exit_code = cli::refuse(
+          Error{"--model and --method oem exclude each other: effects are estimated by the prediction error "
+                "method; leave --method out"});
+      return;
+    }
+    exit_code = identify_files(*options);
+  });
 }
 
 }  // namespace clampd::ctl

@@ -40,6 +40,17 @@ std::string_view to_string(Termination termination) noexcept;
 /// rad/s).
 using OffsetSensitivity = Eigen::Matrix<double, static_cast<int>(kParameterCount), 2>;
 
+/// A parameter of an effect beside the base model, SI. NaN where the data do not determine it.
+struct EffectEstimate {
+  std::string effect;  ///< name of the effect
+  std::string parameter;
+  std::string unit;
+  double value = 0.0;
+  double sd = 0.0;  ///< NaN for choices, which are not estimated
+  /// d value by an error common to all force readings (per N) and to all velocity readings (per rad/s).
+  std::array<double, 2> offset_sensitivity{};
+};
+
 /// What an estimator found out from one or several runs: shared theta, each run its own initial state, every
 /// run with the same noise. Numbers are NaN where there is no estimate; entries of held parameters in the
 /// covariances are zero. Not identifiable: NaN for those parameters that the data do not determine.
@@ -70,6 +81,7 @@ struct Estimate {
   double log_likelihood = 0.0;
   std::vector<double> run_force_rms_N;  ///< the same per run
   std::vector<double> run_velocity_rms_rad_s;
+  std::vector<EffectEstimate> effects;  ///< of an extended model, in its order
 
   bool converged() const { return termination == Termination::Converged; }
 };
