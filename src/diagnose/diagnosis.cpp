@@ -171,6 +171,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   const Residuals after = selection.effects.empty() ? before : examine(selection.chosen, threads);
 
   Diagnosis diagnosis;
+  diagnosis.alarm_evidence = alarm_level(options.false_alarm);
   const double explained = selection.chosen.log_likelihood() - base.log_likelihood();
   const bool something_left =
       after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
