@@ -67,6 +67,17 @@ ordered_json matrix_json(const std::vector<double>& row_major) {
 
 }  // namespace
 
+ordered_json cause_json(const CauseRecord& cause) {
+  // "effect" is a name only where the runs leave no choice.
+  const bool certain = cause.verdict == "explained" && !cause.effects.empty();
+  return {{"effect", certain ? ordered_json(cause.effects.front()) : ordered_json(nullptr)},
+          {"location", cause.location.empty() ? ordered_json(nullptr) : ordered_json(cause.location)},
+          {"rivals", cause.rivals},
+          {"summary", cause.summary},
+          {"verdict", cause.verdict},
+          {"effects", cause.effects}};
+}
+
 ordered_json check_json(const CheckRecord& record) {
   ordered_json parameters = ordered_json::array();
   for (const ParameterRecord& parameter : record.parameters) parameters.push_back(parameter_json(parameter));
@@ -75,42 +86,41 @@ ordered_json check_json(const CheckRecord& record) {
   ordered_json instruments = ordered_json::parse(record.instruments, nullptr, false);
   if (instruments.is_discarded()) instruments = ordered_json::array();
 
-  return {
-      {"schema", "clampd.check/1"},
-      {"serial", record.serial},
-      {"verdict", to_string(record.verdict)},
-      {"marginal", record.marginal},
-      {"reason", record.reason},
-      {"repeats", record.repeats},
-      {"parameters", std::move(parameters)},
-      {"timing", timing_json(record.timing)},
-      {"tracking_rms_N", number(record.tracking_rms_N)},
-      {"started", record.started},
-      {"duration_s", number(record.duration_s)},
-      {"cause", nullptr},
-      {"record", record.id},
-      {"stopped", record.stopped},
-      {"simulated", record.simulated},
-      {"part_number", record.part_number},
-      {"batch", record.batch},
-      {"station", record.station},
-      {"fixture", record.fixture},
-      {"operator", record.operator_name},
-      {"software_version", record.software_version},
-      {"limits",
-       {{"file", record.limits_file},
-        {"revision", record.limits_revision},
-        {"sha256", record.limits_sha256}}},
-      {"trajectory_sha256", record.trajectory_sha256},
-      {"instruments", std::move(instruments)},
-      {"fault", to_string(record.fault)},
-      {"noise",
-       {{"force_N", number(record.noise_force_N)},
-        {"velocity_rad_s", number(record.noise_velocity_rad_s)},
-        {"torque_Nm", number(record.noise_torque_Nm)}}},
-      {"method", record.method},
-      {"covariance_normalised", matrix_json(record.covariance_normalised)},
-      {"runs", std::move(runs)}};
+  return {{"schema", "clampd.check/1"},
+          {"serial", record.serial},
+          {"verdict", to_string(record.verdict)},
+          {"marginal", record.marginal},
+          {"reason", record.reason},
+          {"repeats", record.repeats},
+          {"parameters", std::move(parameters)},
+          {"timing", timing_json(record.timing)},
+          {"tracking_rms_N", number(record.tracking_rms_N)},
+          {"started", record.started},
+          {"duration_s", number(record.duration_s)},
+          {"cause", record.cause ? cause_json(*record.cause) : ordered_json(nullptr)},
+          {"record", record.id},
+          {"stopped", record.stopped},
+          {"simulated", record.simulated},
+          {"part_number", record.part_number},
+          {"batch", record.batch},
+          {"station", record.station},
+          {"fixture", record.fixture},
+          {"operator", record.operator_name},
+          {"software_version", record.software_version},
+          {"limits",
+           {{"file", record.limits_file},
+            {"revision", record.limits_revision},
+            {"sha256", record.limits_sha256}}},
+          {"trajectory_sha256", record.trajectory_sha256},
+          {"instruments", std::move(instruments)},
+          {"fault", to_string(record.fault)},
+          {"noise",
+           {{"force_N", number(record.noise_force_N)},
+            {"velocity_rad_s", number(record.noise_velocity_rad_s)},
+            {"torque_Nm", number(record.noise_torque_Nm)}}},
+          {"method", record.method},
+          {"covariance_normalised", matrix_json(record.covariance_normalised)},
+          {"runs", std::move(runs)}};
 }
 
 nlohmann::ordered_json summaries_json(const std::vector<CheckSummary>& checks) {

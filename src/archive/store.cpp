@@ -6,6 +6,7 @@
 #include <concepts>
 #include <filesystem>
 #include <limits>
+#include <optional>
 #include <type_traits>
 #include <utility>
 
@@ -20,7 +21,7 @@ namespace clampd {
 namespace {
 
 /// Step i brings a database of version i to i + 1 (PRAGMA user_version). Steps are never changed, only added.
-constexpr std::array<const char*, 2> kMigrations{R"sql(
+constexpr std::array<const char*, 3> kMigrations{R"sql(
 CREATE TABLE checks (
   id TEXT PRIMARY KEY NOT NULL,
   serial TEXT NOT NULL, part_number TEXT NOT NULL, batch TEXT NOT NULL,
@@ -57,6 +58,9 @@ CREATE TABLE flight_recorder (
                                                  R"sql(
 ALTER TABLE checks ADD COLUMN method TEXT NOT NULL DEFAULT 'oem';
 ALTER TABLE checks ADD COLUMN noise_torque_Nm REAL;
+)sql",
+                                                 R"sql(
+ALTER TABLE checks ADD COLUMN cause TEXT NOT NULL DEFAULT '';
 )sql"};
 
 tl::unexpected<Error> explained(const std::string& path, const SQLite::Exception& error) {
@@ -175,6 +179,29 @@ std::vector<double> numbers_from(const std::string& text) {
   return values;
 }
 
+/// Empty if there is none.
+std::string cause_text(const std::optional<CauseRecord>& cause) {
+  if (!cause) return "";
+  return nlohmann::json{{"verdict", cause->verdict},
+                        {"effects", cause->effects},
+                        {"location", cause->location},
+                        {"rivals", cause->rivals},
+                        {"summary", cause->summary}}
+      .dump();
+}
+
+std::optional<CauseRecord> cause_from(const std::string& text) {
+  if (text.empty()) return std::nullopt;
+  const nlohmann::json cause = nlohmann::json::parse(text);
+  CauseRecord record;
+  cause.at("verdict").get_to(record.verdict);
+  cause.at("effects").get_to(record.effects);
+  cause.at("location").get_to(record.location);
+  cause.at("rivals").get_to(record.rivals);
+  cause.at("summary").get_to(record.summary);
+  return record;
+}
+
 void migrate(SQLite::Database& database, int version) {
   for (std::size_t step = static_cast<std::size_t>(version); step < kMigrations.size(); ++step) {
     SQLite::Transaction transaction(database, SQLite::TransactionBehavior::IMMEDIATE);
@@ -186,7 +213,7 @@ void migrate(SQLite::Database& database, int version) {
   }
 }
 
-constexpr int kCheckColumns = 35;
+constexpr int kCheckColumns = 36;
 
 void insert_check(SQLite::Database& database, const CheckRecord& r) {
   Row row(database, "checks", kCheckColumns);
@@ -196,21 +223,22 @@ void insert_check(SQLite::Database& database, const CheckRecord& r) {
       << static_cast<int>(r.verdict) << r.marginal << r.reason << static_cast<int>(r.fault)
       << numbers_text(r.covariance_normalised) << r.noise_force_N << r.noise_velocity_rad_s
       << r.tracking_rms_N << r.timing.ticks << r.timing.skipped << r.timing.lost_samples
-      << r.timing.lateness_min_us << r.timing.lateness_avg_us << r.timing.lateness_max_us
-      << r.timing.bus_load << r.method << r.noise_torque_Nm;
+      << r.timing.lateness_min_us << r.timing.lateness_avg_us << r.timing.lateness_max_us << r.timing.bus_load
+      << r.method << r.noise_torque_Nm << cause_text(r.cause);
   row.insert();
 }
 
 void read_check(SQLite::Statement& statement, CheckRecord& r) {
-  std::string covariance;
+  std::string covariance, cause;
   Columns columns(statement);
   columns >> r.id >> r.serial >> r.part_number >> r.batch >> r.station >> r.fixture >> r.operator_name >>
       r.software_version >> r.limits_file >> r.limits_revision >> r.limits_sha256 >> r.trajectory_sha256 >>
       r.instruments >> r.simulated >> r.started >> r.stopped >> r.duration_s >> r.repeats >> r.verdict >>
       r.marginal >> r.reason >> r.fault >> covariance >> r.noise_force_N >> r.noise_velocity_rad_s >>
       r.tracking_rms_N >> r.timing.ticks >> r.timing.skipped >> r.timing.lost_samples >>
-      r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >> r.method >>
-      r.noise_torque_Nm;
+      r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >>
+      r.method >> r.noise_torque_Nm >> cause;
+  r.cause = cause_from(cause);
   r.covariance_normalised = numbers_from(covariance);
 }
 

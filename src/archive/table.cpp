@@ -97,13 +97,17 @@ std::string verdict_word(Verdict verdict, bool marginal) {
 
 void append_parameters(std::string& text, const CheckRecord& record, bool colour) {
   if (record.parameters.empty()) return;
+  constexpr std::size_t kNameWidth = 5;
   text += painted(fmt::format("  {:<5}{:>12}{:>11}   {:<15}{:>11}{:>12}  {:<12}{}", "", "value", "± sd",
                               " between limits", "lower", "upper", "unit", "verdict"),
                   kBold, colour);
   text += '\n';
   for (const ParameterRecord& p : record.parameters) {
-    text += fmt::format("  {:<5}{:>12.5g}{:>11}   {:<15}{:>11.4g}{:>12.4g}  {:<12}", p.name, p.value,
-                        fmt::format("± {:.2g}", p.sd), gauge(p), p.lower, p.upper, p.unit);
+    // The name of an effect's parameter takes a line of its own.
+    const bool is_long = p.name.size() >= kNameWidth;
+    if (is_long) text += fmt::format("  {}\n", p.name);
+    text += fmt::format("  {:<5}{:>12.5g}{:>11}   {:<15}{:>11.4g}{:>12.4g}  {:<12}", is_long ? "" : p.name,
+                        p.value, fmt::format("± {:.2g}", p.sd), gauge(p), p.lower, p.upper, p.unit);
     text += painted(p.verdict == ParameterVerdict::Fail ? "FAIL" : to_string(p.verdict), colour_of(p.verdict),
                     colour);
     text += '\n';

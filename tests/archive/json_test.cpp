@@ -51,6 +51,25 @@ TEST(CheckJson, HoldsTheWholeRecord) {
   EXPECT_EQ(document.at("runs")[1].at("converged"), false);
 }
 
+TEST(CheckJson, NamesACauseOnlyWhereItIsCertain) {
+  CheckRecord record = support::make_check_record();
+  record.cause = CauseRecord{"explained", {"force-lag"}, "force-reading", {}, "It comes late."};
+  const ordered_json named = check_json(record).at("cause");
+  EXPECT_EQ(named.at("effect"), "force-lag");
+  EXPECT_EQ(named.at("location"), "force-reading");
+  EXPECT_TRUE(named.at("rivals").empty());
+  EXPECT_EQ(named.at("summary"), "It comes late.");
+
+  record.cause =
+      CauseRecord{"ambiguous", {"force-lag"}, "force-reading", {{"force-lag", "pad-damping"}}, "?"};
+  const ordered_json rivals = check_json(record).at("cause");
+  EXPECT_TRUE(rivals.at("effect").is_null());
+  EXPECT_EQ(rivals.at("rivals"), ordered_json::parse(R"([["force-lag","pad-damping"]])"));
+
+  record.cause = CauseRecord{"unexplained", {}, "", {}, "?"};
+  EXPECT_TRUE(check_json(record).at("cause").at("location").is_null());
+}
+
 TEST(CheckJson, WritesNoNumberWhereThereIsNone) {
   CheckRecord record = support::make_check_record();
   record.tracking_rms_N = std::numeric_limits<double>::quiet_NaN();

@@ -88,6 +88,40 @@ TEST_F(Store, KeepsNumbersThatAreNone) {
   EXPECT_TRUE(std::isnan(loaded->runs[0].estimate[3]));
 }
 
+TEST_F(Store, KeepsTheCause) {
+  CheckRecord saved = make_check_record();
+  saved.verdict = Verdict::Error;
+  saved.cause =
+      CauseRecord{"ambiguous", {"force-lag"}, "force-reading", {{"force-lag", "pad-damping"}}, "Late."};
+  CheckStore store = open();
+  ASSERT_TRUE(store.save(saved));
+  const auto loaded = store.load(saved.id);
+  ASSERT_TRUE(loaded) << loaded.error().message;
+  EXPECT_EQ(loaded->cause, saved.cause);
+}
+
+TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
+  {
+    CheckStore store = open();
+    ASSERT_TRUE(store.save(make_check_record()));
+  }
+  {
+    SQLite::Database old(path, SQLite::OPEN_READWRITE);
+    old.exec("ALTER TABLE checks DROP COLUMN cause");
+    old.exec("PRAGMA user_version = 2");
+  }
+  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 3"));
+  CheckStore store = open();
+  const auto loaded = store.load("last");
+  ASSERT_TRUE(loaded) << loaded.error().message;
+  EXPECT_FALSE(loaded->cause);
+  EXPECT_EQ(check_json(*loaded), check_json(make_check_record()));
+  CheckRecord next = make_check_record("20261121T000000000Z-00000000");
+  next.cause = CauseRecord{"unexplained", {}, "stiffness", {}, "Something is wrong."};
+  ASSERT_TRUE(store.save(next));
+  EXPECT_EQ(store.load("20261121")->cause, next.cause);
+}
+
 TEST_F(Store, KeepsACheckWithoutRuns) {
   CheckRecord saved;
   saved.id = "20261120T000000000Z-00000000";
@@ -176,7 +210,7 @@ TEST_F(Store, NoticesAChangedRun) {
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 2);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 3);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

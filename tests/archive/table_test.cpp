@@ -38,6 +38,16 @@ TEST(FormatCheck, SaysWhatATechnicianAsks) {
   EXPECT_LE(widest_line(text), 100u);
 }
 
+TEST(FormatCheck, TheParametersOfEffectsFitIn) {
+  CheckRecord record = support::make_check_record();
+  record.parameters.push_back(
+      {"stiffness-hysteresis.travel", "rad", 0.52, 0.01, 0.0, 0.3, ParameterVerdict::Fail});
+  const std::string text = format_check(record, false);
+  EXPECT_THAT(text, HasSubstr("stiffness-hysteresis.travel"));
+  EXPECT_THAT(text, HasSubstr("0.52"));
+  EXPECT_LE(widest_line(text), 100u);
+}
+
 TEST(FormatCheck, ColoursOnlyWhenAsked) {
   EXPECT_THAT(format_check(support::make_check_record(), true), HasSubstr("\033[1;97;41m"));
 }

@@ -12,6 +12,9 @@ namespace clampd {
 /// The document of `clampctl run --json`, schema clampd.check/1. Numbers that are not finite become null.
 nlohmann::ordered_json check_json(const CheckRecord& record);
 
+/// Its "cause".
+nlohmann::ordered_json cause_json(const CauseRecord& cause);
+
 /// The document of `clampctl results --json`, schema clampd.checks/1.
 nlohmann::ordered_json summaries_json(const std::vector<CheckSummary>& checks);
 

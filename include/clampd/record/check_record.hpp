@@ -55,6 +55,17 @@ struct RunRecord {
   std::string checksum_sha256;  ///< of format_run(run)
 };
 
+/// Why the brake model does not explain a check's runs, as their diagnosis has it.
+struct CauseRecord {
+  std::string verdict;               ///< of the diagnosis: "explained", "ambiguous" or "unexplained"
+  std::vector<std::string> effects;  ///< named ones, the strongest first; empty if nothing known explains it
+  std::string location;              ///< of the first, or else of the misfit; empty if it cannot be told
+  std::vector<std::vector<std::string>> rivals;  ///< each group: effects that the runs cannot tell apart
+  std::string summary;                           ///< one sentence a technician understands
+
+  bool operator==(const CauseRecord&) const = default;
+};
+
 /// Everything the trade expects in the record of one check (traceability first).
 struct CheckRecord {
   std::string id;  ///< unique, sortable by time
@@ -80,8 +91,9 @@ struct CheckRecord {
   bool marginal = false;
   std::string reason;  ///< one sentence a technician understands
   FaultCause fault = FaultCause::None;
+  std::optional<CauseRecord> cause;  ///< of an ERROR whose runs the model does not explain
 
-  std::vector<ParameterRecord> parameters;
+  std::vector<ParameterRecord> parameters;    ///< the seven, then "EFFECT.PARAMETER" of an extended model
   std::vector<double> covariance_normalised;  ///< 7 x 7, row-major; empty where there is no fit
   std::string method;                         ///< of identification: oem or pem
   double noise_force_N = 0.0;
