@@ -87,6 +87,11 @@ TEST(DiagnosisWords, ACertainCauseStandsBesideRivals) {
   const std::string text = diagnosis_text(diagnosis, kBrake, false);
   EXPECT_LT(text.find("Cause\n  cogging"), text.find("Best of the rivals\n  force-lag"));
   EXPECT_NE(text.find("Best of the rivals\n  force-lag"), std::string::npos);
+
+  // Of a name that is given in spite of a near rival there is no doubt left to tell.
+  diagnosis.verdict = DiagnosisVerdict::Explained;
+  EXPECT_EQ(words::headline(diagnosis), "the cause is cogging and force-lag");
+  EXPECT_EQ(diagnosis_text(diagnosis, kBrake, false).find("Best of the rivals"), std::string::npos);
 }
 
 TEST(DiagnosisWords, AParameterMovesInStandardDeviations) {

@@ -104,7 +104,6 @@ std::string gain_in_words(const Diagnosis& diagnosis, const DiagnosisSubject& su
   } else {
     add("the error of the force predicted one sample ahead", &GainFigures::rms_force_N, 1, "N rms");
     add("that of the velocity", &GainFigures::rms_velocity_rad_s, 3, "rad/s rms");
-    add("the misfit", &GainFigures::misfit, 2, "times the noise floor");
   }
   return fmt::format("On {}, {}.", words::heldout_runs(*diagnosis.gain), words::enumeration(changes, "and"));
 }
@@ -141,7 +140,8 @@ void add_result(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
                                                    sentence(words::quantities(effect.parameters)))));
   for (const std::vector<std::string>& group : diagnosis.rivals)
     for (const std::string& name : group)
-      entries.emplace_back("Possible: " + name, sentence(words::cause(name)));
+      if (diagnosis.verdict == DiagnosisVerdict::Ambiguous)
+        entries.emplace_back("Possible: " + name, sentence(words::cause(name)));
   if (diagnosis.misfit.location && diagnosis.verdict != DiagnosisVerdict::Adequate) {
     std::string where(words::meaning(*diagnosis.misfit.location));
     std::vector<std::string> variables;

@@ -168,7 +168,8 @@ std::string cause(const std::string& effect) {
 }
 
 bool has_rivals(const Diagnosis& diagnosis, const std::string& effect) {
-  return std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(),
+  return diagnosis.verdict == DiagnosisVerdict::Ambiguous &&
+         std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(),
                      [&](const std::vector<std::string>& group) {
                        return std::find(group.begin(), group.end(), effect) != group.end();
                      });
@@ -231,6 +232,9 @@ std::vector<GainRow> gain_rows(const Diagnosis& diagnosis, const DiagnosisSubjec
   add(fmt::format("the same, of the {}'s own rms", subject.effort()), &GainFigures::torque_error_relative,
       decimals(4), true);
   add("misfit (1: the noise floor)", &GainFigures::misfit, decimals(3), true);
+  // Noise that took up the effect makes the base model's misfit too small.
+  if (!rows.empty() && rows.back().what.starts_with("misfit"))
+    rows.back().better = std::abs(after.misfit - 1.0) < std::abs(before.misfit - 1.0);
   add("log likelihood per sample (nats)", &GainFigures::log_likelihood_per_sample, decimals(3), false);
   add(
       "chance that what is left is white noise", &GainFigures::whiteness_p_value,

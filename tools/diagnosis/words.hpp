@@ -43,7 +43,7 @@ std::vector<std::string> depends_on(const Misfit& misfit);
 /// The effect's cause as the catalogue words it; empty if it does not list it.
 std::string cause(const std::string& effect);
 
-/// Whether other effects would do nearly as well as the one of this name.
+/// Whether the verdict leaves open if it is the effect of this name or one that does nearly as well.
 bool has_rivals(const Diagnosis& diagnosis, const std::string& effect);
 
 /// What the verdict is, for a heading: "the cause is cogging".
