@@ -43,7 +43,7 @@ ExtendedBrake::ExtendedBrake(const ExtendedParameters& parameters) {
     const EffectInfo& info = values.effect->info();
     CLAMPD_ASSERT(values.values.size() == info.parameters.size());
     for (std::size_t i = 0; i < info.parameters.size(); ++i)
-      if (info.parameters[i].role != EffectParameter::Role::Choice)
+      if (is_estimated(info.parameters[i]))
         places_.push_back({static_cast<int>(e), static_cast<int>(i)});
     for (int i = 0; i < info.free_states; ++i) free_states_.push_back(states_ + i);
     states_ += info.states;

@@ -25,7 +25,7 @@ constexpr double kFalseResidual = 0.003;
 /// What no candidate explains must be worth so many nats before it counts, and so large a share of what the
 /// named effects explain: a real effect never has quite the candidate's form.
 constexpr double kLeastUnexplained_nats = 8.0;
-constexpr double kUnexplainedShare = 0.15;
+constexpr double kUnexplainedShare = 0.08;
 /// An effect whose strength these runs know no better than this, over the change that matters, was not seen.
 constexpr double kBlind = 0.5;
 constexpr std::size_t kMostRivals = 3;
@@ -73,19 +73,19 @@ std::vector<EstimatedParameter> effect_parameters(const ExtendedEstimate& estima
   Eigen::Index free_state = 2;
   for (std::size_t e = 0; e < effect; ++e) {
     for (const EffectParameter& parameter : info_of(*estimate.parameters.effects[e].effect).parameters)
-      at += parameter.role != EffectParameter::Role::Choice;
+      at += is_estimated(parameter);
     free_state += info_of(*estimate.parameters.effects[e].effect).free_states;
   }
   const EffectValues& values = estimate.parameters.effects[effect];
   const EffectInfo& info = info_of(*values.effect);
   for (std::size_t i = 0; i < info.parameters.size(); ++i) {
-    const bool chosen = info.parameters[i].role == EffectParameter::Role::Choice;
+    const bool chosen = !is_estimated(info.parameters[i]);
     list.push_back(
         {std::string(info.parameters[i].name), std::string(info.parameters[i].unit), values.values[i],
          chosen || estimate.covariance.rows() <= at ? NAN : std::sqrt(estimate.covariance(at, at))});
     at += !chosen;
   }
-  if (info.free_states > 0) {
+  if (info.free_states > 0 && info.free_states_count) {
     // Its amplitude over all runs: the root of the mean square of the two phases.
     double square = 0.0;
     for (const Eigen::VectorXd& initial : estimate.initial_states)
@@ -220,14 +220,20 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
 
   diagnosis.misfit.tests_before = before.tests;
   if (!selection.effects.empty()) diagnosis.misfit.tests_after = after.tests;
-  const Residuals& told = much_left ? after : before;
+  // Of what is left; if that tells nothing by itself, of what the base model leaves.
+  const auto tells = [](const Residuals& residuals) {
+    return !residuals.dependences.empty() && residuals.dependences.front().p_value < kFalseResidual;
+  };
+  const Residuals& told = much_left && tells(after) ? after : before;
   for (const Dependence& dependence : told.dependences)
     if (dependence.p_value < kFalseResidual) diagnosis.misfit.dependences.push_back(dependence);
   if (diagnosis.verdict != DiagnosisVerdict::Adequate) {
-    if (!much_left && !diagnosis.effects.empty())
+    if (!much_left)
       diagnosis.misfit.location = diagnosis.effects.front().location;
-    else if (!told.dependences.empty())
+    else if (tells(told))
       diagnosis.misfit.location = told.dependences.front().location;
+    else if (!diagnosis.effects.empty())
+      diagnosis.misfit.location = diagnosis.effects.front().location;
   }
 
   // What these runs could not have shown, seen from the final model where that explains them.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "src/diagnose/evidence.hpp"
 
@@ -88,6 +89,14 @@ GainFigures judge(const Hypothesis& trained, Hypothesis held) {
   return figures;
 }
 
+/// Rows of a channel that the model sees `late` rows earlier than it was recorded.
+std::vector<double> as_recorded(const std::vector<double>& rows, int late) {
+  std::vector<double> moved(rows.size(), std::numeric_limits<double>::quiet_NaN());
+  const auto count = std::min<std::ptrdiff_t>(late, static_cast<std::ptrdiff_t>(rows.size()));
+  std::copy(rows.begin(), rows.end() - count, moved.begin() + count);
+  return moved;
+}
+
 }  // namespace
 
 std::optional<HeldOutGain> held_out_gain(std::span<const Run> runs, std::span<const Run> heldout,
@@ -149,20 +158,25 @@ std::vector<RunView> views_of(std::span<const Run> runs, const Hypothesis& base,
     view.time_s = runs[r].time_s;
     view.torque_Nm = runs[r].torque_Nm;
     view.position_rad = after[r].position_rad;
+    EffectDelays late;
+    for (const EffectValues& values : extended.estimate.parameters.effects) {
+      const EffectDelays each = delays_of(values);
+      late = {late.force + each.force, late.velocity + each.velocity, late.torque + each.torque};
+    }
     view.force = {runs[r].force_N,
                   before[r].predicted_force_N,
-                  after[r].predicted_force_N,
+                  as_recorded(after[r].predicted_force_N, late.force),
                   before[r].simulated_force_N,
-                  after[r].simulated_force_N,
+                  as_recorded(after[r].simulated_force_N, late.force),
                   before[r].force,
-                  after[r].force};
+                  as_recorded(after[r].force, late.force)};
     view.velocity = {runs[r].velocity_rad_s,
                      before[r].predicted_velocity_rad_s,
-                     after[r].predicted_velocity_rad_s,
+                     as_recorded(after[r].predicted_velocity_rad_s, late.velocity),
                      before[r].simulated_velocity_rad_s,
-                     after[r].simulated_velocity_rad_s,
+                     as_recorded(after[r].simulated_velocity_rad_s, late.velocity),
                      before[r].velocity,
-                     after[r].velocity};
+                     as_recorded(after[r].velocity, late.velocity)};
     view.disturbance_before_Nm = before[r].disturbance_Nm;
     view.disturbance_after_Nm = after[r].disturbance_Nm;
     views.push_back(std::move(view));

@@ -33,15 +33,13 @@ constexpr double kScanStep = 0.12;
 constexpr std::size_t kPeaks = 3;
 constexpr Eigen::Index kScanTogether = 64;  // orders that fit the cache
 
-std::vector<std::vector<double>> combinations(const Effect& effect, std::span<const Run> recorded,
-                                              bool all_choices) {
+std::vector<std::vector<double>> combinations(const Effect& effect, std::span<const Run> recorded) {
   const auto& parameters = info_of(effect).parameters;
   std::vector<std::vector<double>> list{{}};
   for (std::size_t i = 0; i < parameters.size(); ++i) {
     std::vector<double> values{parameters[i].neutral};
     if (parameters[i].role != Role::Strength) values = starts_of(effect, i, recorded);
-    // A number of whole samples is searched by the fit; which channel it is, the first look tells.
-    if (parameters[i].role == Role::Choice && parameters[i].name == "whole" && !all_choices) values.resize(1);
+    if (parameters[i].role == Role::Refinement) values.resize(1);
     std::vector<std::vector<double>> longer;
     for (const auto& begun : list)
       for (const double value : values) {
@@ -56,16 +54,17 @@ std::vector<std::vector<double>> combinations(const Effect& effect, std::span<co
 double choices_of(const Effect& effect) {
   double count = 1.0;
   for (const EffectParameter& parameter : info_of(effect).parameters)
-    if (parameter.role == Role::Choice)
+    if (!is_estimated(parameter))
       count *= std::max<double>(1.0, static_cast<double>(parameter.starts.size()));
   return count;
 }
 
 double degrees_of(const Effect& effect, std::size_t runs) {
   const EffectInfo& info = info_of(effect);
-  double degrees = static_cast<double>(info.free_states) * static_cast<double>(runs);
+  double degrees =
+      info.free_states_count ? static_cast<double>(info.free_states) * static_cast<double>(runs) : 0.0;
   for (const EffectParameter& parameter : info.parameters)
-    if (parameter.role != Role::Choice) degrees += 1.0;
+    if (is_estimated(parameter)) degrees += 1.0;
   return degrees;
 }
 
@@ -75,10 +74,12 @@ Start start_from(const Effect& effect, const std::vector<double>& values, const 
                  const StepForecast& forecast) {
   const auto& parameters = info_of(effect).parameters;
   Start start{{&effect, values}, forecast.after_step - hypothesis.estimate.log_likelihood};
+  const auto strengths = std::count_if(parameters.begin(), parameters.end(),
+                                       [](const auto& each) { return each.role == Role::Strength; });
   Eigen::Index at = forecast.step.size();
   for (std::size_t i = parameters.size(); i-- > 0;) {
     const EffectParameter& parameter = parameters[i];
-    if (parameter.role == Role::Choice) continue;
+    if (!is_estimated(parameter)) continue;
     const double move = forecast.step[--at];
     if (parameter.role == Role::Strength) {
       if (values[i] + move < parameter.lower && parameter.lower == parameter.neutral)
@@ -87,7 +88,7 @@ Start start_from(const Effect& effect, const std::vector<double>& values, const 
       start.values.values[i] = std::clamp(
           values[i] + move, parameter.lower + 1e-4 * width * (parameter.lower == parameter.neutral),
           parameter.upper - 0.02 * width);
-    } else if (info_of(effect).free_states == 0 && parameters.size() == 1) {
+    } else if (info_of(effect).free_states == 0 && strengths == 0) {
       // Nothing but a shape: the step moves it.
       const double moved = parameter.logarithmic
                                ? values[i] * std::exp(std::clamp(move / values[i], -0.7, 0.7))
@@ -186,7 +187,7 @@ Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<
   if (info.name == "cogging") {
     add_peaks(hypothesis, candidate);
   } else {
-    for (const std::vector<double>& values : combinations(effect, recorded, false)) {
+    for (const std::vector<double>& values : combinations(effect, recorded)) {
       const ExtendedEstimate extended = with_effect(hypothesis.estimate, {&effect, values});
       const StepForecast seen = forecast(hypothesis.runs, extended);
       if (seen.step.size() == 0) continue;
@@ -195,7 +196,7 @@ Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<
       Eigen::Index at = seen.sd.size();
       double blindness = 0.0;
       for (std::size_t i = info.parameters.size(); i-- > 0;) {
-        if (info.parameters[i].role == Role::Choice) continue;
+        if (!is_estimated(info.parameters[i])) continue;
         --at;
         if (info.parameters[i].role == Role::Strength)
           blindness = std::max(blindness, seen.sd[at] / info.parameters[i].scale);
@@ -232,18 +233,15 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis) {
     if (fits > 0 && !other_shape && gain() > kStuck * candidate.predicted_gain) break;
     attempt(start, noise);
   }
-  // Whole samples: on from the best, until more of them no longer help.
   const auto& parameters = info_of(*candidate.effect).parameters;
   for (std::size_t i = 0; i < parameters.size() && best.possible(); ++i) {
-    if (parameters[i].name != "whole") continue;
-    double reached = gain();
-    for (double whole = 1.0; whole <= parameters[i].upper; whole += 1.0) {
+    if (parameters[i].role != Role::Refinement) continue;
+    for (std::size_t other = 1; other < parameters[i].starts.size(); ++other) {
+      const double reached = gain();
       EffectValues values = best.estimate.parameters.effects.back();
-      values.values[i] = whole;
-      values.values[0] = 0.5;
-      attempt({values, 0.0}, std::min(noise, best.estimate.noise.torque_Nm));
-      if (gain() < reached + 0.5 && best.estimate.parameters.effects.back().values[0] < 0.95) break;
-      reached = gain();
+      values.values[i] = parameters[i].starts[other];
+      attempt({values, 0.0}, best.estimate.noise.torque_Nm);
+      if (!(gain() > reached)) break;
     }
   }
   candidate.gain = std::max(0.0, gain());

@@ -17,6 +17,10 @@ namespace {
 constexpr int kLags = 20;
 constexpr int kCrossLags = 5;
 constexpr int kKnots = 6;
+/// A reading with steps repeats its values: so many distinct ones at most.
+constexpr double kDistinct = 0.3;
+/// Steps from so many standard deviations of the noise on are coarser than it; what they do is then no noise.
+constexpr double kCoarse = 1.0;
 /// Shapes of which less than this share is left when the parameters follow are not told from them.
 constexpr double kTold = 1e-6;
 /// The same of directions among shapes.
@@ -51,6 +55,30 @@ Correlation correlation(std::span<const FilteredRun> runs, bool force_first, boo
     result.degrees += 1.0;
   }
   return result;
+}
+
+/// The step of a reading that has one; zero if its values lie anywhere.
+double step_of(std::span<const FitRun> data, bool force) {
+  std::vector<double> values;
+  for (const FitRun& run : data) {
+    const std::vector<double>& channel = force ? run.force_N : run.velocity_rad_s;
+    values.insert(values.end(), channel.begin(), channel.end());
+  }
+  const double readings = static_cast<double>(values.size());
+  std::sort(values.begin(), values.end());
+  values.erase(
+      std::unique(values.begin(), values.end(),
+                  [](double a, double b) { return std::abs(a - b) <= 1e-9 * std::max(1.0, std::abs(a)); }),
+      values.end());
+  if (values.size() < 3 || static_cast<double>(values.size()) > kDistinct * readings) return 0.0;
+  double step = values.back() - values.front();
+  for (std::size_t i = 1; i < values.size(); ++i) step = std::min(step, values[i] - values[i - 1]);
+  std::size_t off = 0;
+  for (std::size_t i = 1; i < values.size(); ++i) {
+    const double steps = (values[i] - values[i - 1]) / step;
+    off += std::abs(steps - std::round(steps)) > 0.05;
+  }
+  return off * 50 < values.size() ? step : 0.0;
 }
 
 /// Whether innovations are larger where something changes fast.
@@ -234,6 +262,12 @@ std::vector<Eigen::MatrixXd> rates_of(std::span<const FilteredRun> filtered, std
   return columns;
 }
 
+double readings_of(std::span<const FitRun> runs) {
+  double count = 0.0;
+  for (const FitRun& run : runs) count += static_cast<double>(run.size());
+  return count;
+}
+
 struct Question {
   SignalColumns::Kind kind;
   std::string variable;
@@ -322,6 +356,23 @@ Residuals examine(const Hypothesis& hypothesis, int threads) {
     findings.push_back({surprise, std::max(0.0, 0.5 * (f - 1.0) * repeats.degrees_between)});
   }
 
+  for (const bool force : {true, false}) {
+    const double step = step_of(hypothesis.runs, force);
+    const double noise =
+        force ? hypothesis.estimate.noise.sensors.force_N : hypothesis.estimate.noise.sensors.velocity_rad_s;
+    if (!(step > 0.0)) continue;
+    const bool coarse = step > kCoarse * noise;
+    const char* const name = force ? "force" : "velocity";
+    residuals.tests.push_back({fmt::format("resolution of the {}", name), step, coarse ? 0.0 : 1.0,
+                               fmt::format("the reading of {} has steps of {:.3g} {}, {} than its noise",
+                                           name, step, force ? "N" : "rad/s", coarse ? "coarser" : "finer")});
+    if (!coarse) continue;
+    const double nats = readings_of(hypothesis.runs) * step * step / (24.0 * noise * noise);
+    findings.push_back({nats, nats});
+    residuals.dependences.push_back(
+        {name, force ? Location::ForceReading : Location::VelocityReading, nats, 0.0});
+  }
+
   using Kind = SignalColumns::Kind;
   const std::vector<Variable> variables = variables_of(filtered, hypothesis.runs);
   std::vector<Question> questions;
@@ -365,23 +416,19 @@ Residuals examine(const Hypothesis& hypothesis, int threads) {
     }
   });
   const double tried = static_cast<double>(questions.size() + findings.size());
-  for (std::size_t q = 0; q < questions.size(); ++q) {
-    const double surprise = surprise_of_chi_square(2.0 * answers[q].gain, answers[q].degrees);
-    findings.push_back({surprise, std::max(0.0, answers[q].gain - 0.5 * answers[q].degrees)});
-    residuals.dependences.push_back(
-        {questions[q].variable, questions[q].location, answers[q].gain, p_value_of(surprise, tried)});
-  }
-  // By how surprising: a free function of more shapes gains more by chance.
-  std::vector<std::size_t> order(residuals.dependences.size());
-  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
   const auto surprise_of = [&](std::size_t q) {
     return surprise_of_chi_square(2.0 * answers[q].gain, answers[q].degrees);
   };
+  // By how surprising: a free function of more shapes gains more by chance.
+  std::vector<std::size_t> order(questions.size());
+  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
   std::sort(order.begin(), order.end(),
             [&](std::size_t a, std::size_t b) { return surprise_of(a) > surprise_of(b); });
-  std::vector<Dependence> sorted;
-  for (const std::size_t q : order) sorted.push_back(residuals.dependences[q]);
-  residuals.dependences = std::move(sorted);
+  for (const std::size_t q : order) {
+    findings.push_back({surprise_of(q), std::max(0.0, answers[q].gain - 0.5 * answers[q].degrees)});
+    residuals.dependences.push_back(
+        {questions[q].variable, questions[q].location, answers[q].gain, p_value_of(surprise_of(q), tried)});
+  }
   for (const Finding& finding : findings) {
     residuals.surprise = std::max(residuals.surprise, finding.surprise - std::log(tried));
     if (finding.surprise - std::log(tried) > 4.6) residuals.nats = std::max(residuals.nats, finding.nats);

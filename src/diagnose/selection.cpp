@@ -16,15 +16,22 @@ namespace {
 /// Of the candidates worth a fit: no more than these, and none that promises less than this share of the
 /// best.
 constexpr std::size_t kMostFits = 8;
+constexpr std::size_t kMostLaterFits = 5;
 constexpr double kPromising = 0.2;
 /// A fit may bring more than one step promises, but hardly from nothing.
 constexpr double kBelowAlarm = 3.5;
+/// Relative error of a harmonic's order.
+constexpr double kHarmonic = 0.03;
 /// Fitted to the end are those not behind the best rough fit by this share and these nats.
 constexpr double kLeading = 0.8;
 constexpr double kFarBehind_nats = 40.0;
 /// A further effect must bring this share of what the others bring: an effect of another form than the
 /// candidate's leaves that much behind.
 constexpr double kMaterial = 0.03;
+
+double rank(const Candidate& candidate) {
+  return candidate.is_fitted && candidate.fitted.possible() ? candidate.evidence : -1e9;
+}
 
 bool has(const Hypothesis& hypothesis, const Effect& effect) {
   const auto& present = hypothesis.estimate.parameters.effects;
@@ -44,6 +51,18 @@ bool room_for(const Hypothesis& hypothesis, const Effect& effect) {
          parameters <= static_cast<std::size_t>(ExtendedBrake::kMostParameters);
 }
 
+/// Whether a further effect of the same name is a harmonic of one that is there.
+bool is_harmonic(const Candidate& candidate, const Hypothesis& hypothesis) {
+  if (!candidate.fitted.possible()) return false;
+  const double order = candidate.fitted.estimate.parameters.effects.back().values.back();
+  for (const EffectValues& present : hypothesis.estimate.parameters.effects) {
+    if (present.effect != candidate.effect) continue;
+    const double ratio = std::max(order, present.values.back()) / std::min(order, present.values.back());
+    if (ratio > 1.5 && std::abs(ratio - std::round(ratio)) < kHarmonic * ratio) return true;
+  }
+  return false;
+}
+
 class Selector {
  public:
   Selector(std::span<const Run> runs, const SelectionOptions& options)
@@ -52,6 +71,7 @@ class Selector {
   /// All candidates beside a hypothesis, the promising ones fitted, best first.
   std::vector<Candidate> judge(const Hypothesis& hypothesis, double from, double to,
                                const std::string& words) {
+    const std::size_t most_fits = hypothesis.estimate.parameters.effects.empty() ? kMostFits : kMostLaterFits;
     std::vector<const Effect*> tried;
     for (const Effect* effect : effects())
       if ((!has(hypothesis, *effect) || info_of(*effect).repeatable) && room_for(hypothesis, *effect))
@@ -70,7 +90,7 @@ class Selector {
     std::sort(candidates.begin(), candidates.end(), by_promise);
     const double best = candidates.empty() ? 0.0 : candidates.front().predicted_evidence;
     std::vector<std::size_t> worth;
-    for (std::size_t i = 0; i < candidates.size() && worth.size() < kMostFits; ++i)
+    for (std::size_t i = 0; i < candidates.size() && worth.size() < most_fits; ++i)
       if (!candidates[i].is_fitted &&
           candidates[i].predicted_evidence > std::max(alarm_ - kBelowAlarm, kPromising * best))
         worth.push_back(i);
@@ -86,10 +106,12 @@ class Selector {
         leading.push_back(i);
     for_each_index(leading.size(), options_.threads,
                    [&](std::size_t i) { finish(candidates[leading[i]], hypothesis); });
+    for (Candidate& candidate : candidates)
+      if (candidate.is_fitted && has(hypothesis, *candidate.effect) && !is_harmonic(candidate, hypothesis))
+        candidate.fitted.estimate.possible = false;
     report(to, words);
-    std::stable_sort(candidates.begin(), candidates.end(), [](const Candidate& a, const Candidate& b) {
-      return (a.is_fitted ? a.evidence : -1e9) > (b.is_fitted ? b.evidence : -1e9);
-    });
+    std::stable_sort(candidates.begin(), candidates.end(),
+                     [](const Candidate& a, const Candidate& b) { return rank(a) > rank(b); });
     return candidates;
   }
 
@@ -129,6 +151,7 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
   Selector selector(runs, options);
   Selection selection{base, base, {}, {}};
   double share = 0.15;
+  std::vector<Hypothesis> before;  // each effect was added
   for (int stage = 0; stage < options.most_effects; ++stage) {
     const double next = share + 0.5 * (0.95 - share);
     selection.stages.push_back(selector.judge(
@@ -142,6 +165,7 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
     if (best.gain < kMaterial * so_far) break;
     selection.effects.push_back({std::string(best.name()), best.gain, best.evidence,
                                  rivals_among(candidates, best.name(), best.evidence, selector.alarm())});
+    before.push_back(selection.chosen);
     selection.chosen = best.fitted;
   }
   if (selection.effects.size() < 2) return selection;
@@ -149,7 +173,14 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
   // Each effect again, with all others there: is it still needed, and does another do as well in its place?
   int exchanges = 0;
   for (std::size_t e = 0; e < selection.effects.size() && selection.effects.size() > 1;) {
-    const Hypothesis reduced = without(selection.chosen, e, runs);
+    // Without the last one it is where the search was before; and no less likely than the base model.
+    const bool as_added = exchanges == 0 && selection.effects.size() == before.size();
+    const Hypothesis reduced =
+        as_added && e + 1 == before.size() ? before.back() : without(selection.chosen, e, runs);
+    if (!reduced.possible() || reduced.log_likelihood() < base.log_likelihood()) {
+      ++e;  // a fit that got lost says nothing against the effect
+      continue;
+    }
     const std::string name = selection.effects[e].name;
     std::vector<Candidate> candidates =
         selector.judge(reduced, share, share + 0.4 * (0.97 - share), fmt::format("is {} needed?", name));

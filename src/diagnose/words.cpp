@@ -104,8 +104,8 @@ std::string unseen_words(const Effect& effect, double blindness) {
   std::string smallest;
   for (const EffectParameter& parameter : info.parameters)
     if (parameter.role == EffectParameter::Role::Strength) {
-      smallest = fmt::format("below {:.2g} {} it could not have been seen", 7.0 * blindness * parameter.scale,
-                             parameter.unit);
+      const EstimatedParameter least{"", std::string(parameter.unit), 7.0 * blindness * parameter.scale, NAN};
+      smallest = fmt::format("below {} it could not have been seen", size_of(least));
       break;
     }
   return fmt::format("{}: it shows in {}", smallest, info.excitation);

@@ -29,14 +29,18 @@ constexpr double kNoiseTolerance = 0.01;
 constexpr int kMostRounds = 12;
 constexpr int kNoiseIterations = 6;
 
-/// Free states of an effect start near zero, on their own scale: hardly a prior.
-constexpr double kFreeStatePrior = 1e5;
-
 /// Below this much torque noise (N m) nothing changes any more.
 constexpr double kSmallestTorque_Nm = 2e-5;
 
-double prior_deviation(int local) {
-  return local == 0 ? kInitialPositionPrior_rad : local == 1 ? kInitialVelocityPrior_rad_s : kFreeStatePrior;
+/// Of a run's unknowns: position, velocity, then the effects' free states.
+std::vector<double> prior_deviations(const ExtendedParameters& model) {
+  std::vector<double> deviations{kInitialPositionPrior_rad, kInitialVelocityPrior_rad_s};
+  for (const EffectValues& values : model.effects) {
+    const EffectInfo& info = info_of(*values.effect);
+    deviations.insert(deviations.end(), static_cast<std::size_t>(info.free_states),
+                      info.free_state_deviation);
+  }
+  return deviations;
 }
 
 /// The innovations of all runs as a function of the unknowns, for ceres::TinySolver, with gains that stay as
@@ -53,6 +57,7 @@ class ExtendedFit {
         shape_(start.parameters),
         unknowns_(model_, shape_.places(), held, hold_effects) {
     parameters_ = unknowns_.count();
+    prior_ = prior_deviations(model_);
     locals_ = 2 + static_cast<int>(shape_.free_states().size());
     centres_ = start.initial_states;
     CLAMPD_ASSERT(centres_.size() == runs.size());
@@ -63,10 +68,11 @@ class ExtendedFit {
       evaluation->normals.resize(runs.size());
     }
     invalidate();
-    for (Eigen::VectorXd& centre : centres_) {
-      const auto known = centre.size();
-      centre.conservativeResize(locals_);
-      for (Eigen::Index i = known; i < locals_; ++i) centre[i] = 0.0;
+    starts_ = start.initial_states;
+    for (std::size_t r = 0; r < runs.size(); ++r) {
+      CLAMPD_ASSERT(starts_[r].size() == locals_);
+      // Free states are near their settled value, wherever the search begins.
+      centres_[r].tail(locals_ - 2).setZero();
     }
   }
 
@@ -76,7 +82,7 @@ class ExtendedFit {
   Eigen::VectorXd start() const {
     Eigen::VectorXd point(NumParameters());
     for (int i = 0; i < parameters_; ++i) point[i] = unknowns_.from(model_, i);
-    for (std::size_t r = 0; r < runs_.size(); ++r) point.segment(local(r), locals_) = centres_[r];
+    for (std::size_t r = 0; r < runs_.size(); ++r) point.segment(local(r), locals_) = starts_[r];
     return point;
   }
 
@@ -274,7 +280,7 @@ class ExtendedFit {
       if (!normal.allFinite()) return false;
       const int data = parameters_ + locals_;
       for (int i = 0; i < locals_; ++i) {
-        const double deviation = prior_deviation(i);
+        const double deviation = prior_[static_cast<std::size_t>(i)];
         const double weight = 1.0 / (deviation * deviation);
         const double distance = initial[i] - centres_[r][i];
         normal(parameters_ + i, parameters_ + i) += weight;
@@ -313,7 +319,8 @@ class ExtendedFit {
   ExtendedParameters model_;
   ExtendedBrake shape_;
   Unknowns unknowns_;
-  std::vector<Eigen::VectorXd> centres_;
+  std::vector<Eigen::VectorXd> starts_, centres_;
+  std::vector<double> prior_;
   int parameters_ = 0;
   int locals_ = 2;
   mutable Evaluation now_, before_;
@@ -616,6 +623,7 @@ SignalScores score_signals(std::span<const FitRun> runs, const ExtendedEstimate&
                       Eigen::VectorXd::Zero(columns)};
   if (!fit.renew(fit.start(), variances_of(estimate.noise))) return scores;
   const int p = fit.parameters();
+  const std::vector<double> prior = prior_deviations(estimate.parameters);
   Eigen::MatrixXd with_parameters = Eigen::MatrixXd::Zero(p, columns);
   for (std::size_t r = 0; r < runs.size(); ++r) {
     const ExtendedRun& linear = fit.linear_runs()[r];
@@ -625,7 +633,8 @@ SignalScores score_signals(std::span<const FitRun> runs, const ExtendedEstimate&
     // Of parameters, locals and data with the signals; then the run's own initial state follows.
     const Eigen::MatrixXd products = linear.innovations * seen.transpose();
     Eigen::MatrixXd local_block = linear.normal.block(p, p, l, l);
-    for (int i = 0; i < l; ++i) local_block(i, i) += 1.0 / (prior_deviation(i) * prior_deviation(i));
+    for (int i = 0; i < l; ++i)
+      local_block(i, i) += 1.0 / (prior[static_cast<std::size_t>(i)] * prior[static_cast<std::size_t>(i)]);
     const Eigen::LDLT<Eigen::MatrixXd> factor(local_block);
     const Eigen::MatrixXd local_products = products.middleRows(p, l);
     const Eigen::MatrixXd solved = factor.solve(local_products);

@@ -18,9 +18,10 @@ std::string_view to_string(Location location) noexcept;
 /// A parameter of an effect.
 struct EffectParameter {
   enum class Role {
-    Strength,  ///< at `neutral` the base model is recovered
-    Shape,     ///< estimated, from each of its `starts`: nothing tells it while the strengths are neutral
-    Choice,    ///< one of `starts`, not estimated
+    Strength,    ///< at `neutral` the base model is recovered
+    Shape,       ///< estimated, from each of its `starts`: nothing tells it while the strengths are neutral
+    Choice,      ///< one of `starts`, not estimated
+    Refinement,  ///< the same; others than the first are tried once the rest fits
   };
   std::string_view name;
   std::string_view unit;
@@ -34,6 +35,10 @@ struct EffectParameter {
   std::vector<double> starts = {};
 };
 
+inline bool is_estimated(const EffectParameter& parameter) {
+  return parameter.role == EffectParameter::Role::Strength || parameter.role == EffectParameter::Role::Shape;
+}
+
 /// What there is to be said of an effect, besides its equations.
 struct EffectInfo {
   std::string_view name;  ///< as in every file and JSON document
@@ -45,7 +50,10 @@ struct EffectInfo {
   int states = 0;
   /// The first so many of them start at an unknown value in each run, near zero; the others settled.
   int free_states = 0;
-  /// May be named more than once: a further harmonic.
+  double free_state_deviation = 1e5;  ///< of their prior around that value
+  /// Whether evidence must pay for them: not where they mean nothing at the strength's neutral value.
+  bool free_states_count = true;
+  /// May be named more than once, as a harmonic: its last parameter a multiple or part of the first one's.
   bool repeatable = false;
 };
 

@@ -22,7 +22,7 @@ class ChannelSkew final : public EquationsOf<ChannelSkew> {
                                                  {.name = "whole",
                                                   .unit = "samples",
                                                   .description = "late",
-                                                  .role = Role::Choice,
+                                                  .role = Role::Refinement,
                                                   .lower = 0,
                                                   .upper = 10,
                                                   .scale = 1,

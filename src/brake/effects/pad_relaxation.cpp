@@ -28,7 +28,11 @@ class PadRelaxation final : public EquationsOf<PadRelaxation> {
                                                   .scale = 0.2,
                                                   .logarithmic = true,
                                                   .starts = {0.03, 0.15, 0.7}}},
-                                  .states = 1};
+                                  .states = 1,
+                                  // What an earlier clamping left behind.
+                                  .free_states = 1,
+                                  .free_state_deviation = 3000.0,
+                                  .free_states_count = false};
     return kInfo;
   }
   template <class T>

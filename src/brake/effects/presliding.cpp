@@ -21,20 +21,35 @@ class Presliding final : public EquationsOf<Presliding> {
                                                   .upper = 3,
                                                   .scale = 0.2,
                                                   .logarithmic = true,
-                                                  .starts = {0.004, 0.02, 0.08, 0.3}}},
+                                                  .starts = {0.0004, 0.0015, 0.006, 0.025, 0.1, 0.4}},
+                                                 {.name = "law",
+                                                  .unit = "",
+                                                  .description = "1 Dahl's; 2 elastic until it slides",
+                                                  .role = Role::Refinement,
+                                                  .lower = 1,
+                                                  .upper = 2,
+                                                  .starts = {1, 2}}},
                                   .states = 1};
     return kInfo;
   }
   int substeps() const override { return 4; }
-  /// Dahl's bristles; their deflection is a function of the travel.
+  /// The bristles' deflection is a function of the travel.
+  template <class T>
+  static T grip(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) {
+    if (effects_detail::value_of(own.parameters[1]) < 1.5)
+      return effects_detail::turned_round(own.states[0], instant.travel, instant.direction,
+                                          own.parameters[0]);
+    const T deflected = own.states[0] + instant.travel / own.parameters[0];
+    if (deflected > 1.0) return T(1.0);
+    return deflected < -1.0 ? T(-1.0) : deflected;
+  }
   template <class T>
   void friction(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
-    instant.grip =
-        effects_detail::turned_round(own.states[0], instant.travel, instant.direction, own.parameters[0]);
+    instant.grip = grip(instant, own);
   }
   template <class T>
   void remember(const effects_detail::Instant<T>& end, const effects_detail::Own<T>& own, T* states) const {
-    states[0] = effects_detail::turned_round(own.states[0], end.travel, end.direction, own.parameters[0]);
+    states[0] = grip(end, own);
   }
   template <class T>
   void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>&, T* states) const {
