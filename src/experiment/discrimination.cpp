@@ -29,6 +29,8 @@ constexpr double kMostOpening_rad = 12.0;
 constexpr double kShortestSegment_s = 0.01;
 /// Of the rivals while the search goes on.
 constexpr int kSearchRelinearisations = 1;
+/// Nats per sample that an evidence without meaning counts: hardly more than nothing.
+constexpr double kIncredible = 1e-8;
 /// Prototypes whose rivals may answer as well as they can before some are chosen.
 constexpr std::size_t kLookedAtAgain = 24;
 /// A prototype that is too fast is tried again, slower.
@@ -207,7 +209,8 @@ class Search {
     const Result<Reference> reference = reference_of(segments);
     if (!reference) return -std::numeric_limits<double>::infinity();
     const DiscriminationValue value = comparison_.evaluate(*reference, relinearisations);
-    return value.feasible ? value.evidence_per_sample_nats : -std::numeric_limits<double>::infinity();
+    if (!value.feasible) return -std::numeric_limits<double>::infinity();
+    return value.credible ? value.evidence_per_sample_nats : kIncredible;
   }
 
   /// As fast as the rivals bear it.
@@ -399,6 +402,11 @@ Result<Discrimination> design_discrimination(std::span<const RivalModel> rivals,
     design.expected_evidence_nats =
         comparison.evidence_after(*reference, design.repeats, kCarefulRelinearisations);
     if (design.expected_evidence_nats >= options.wanted_nats || design.repeats == options.most_repeats) break;
+  }
+  if (!value.credible) {
+    // No kind of manoeuvre keeps the rivals from losing their way: far apart, but nobody knows how far.
+    design.evidence_nats = std::min(design.evidence_nats, options.wanted_nats);
+    design.expected_evidence_nats = std::min(design.expected_evidence_nats, options.wanted_nats);
   }
   design.settles = design.expected_evidence_nats >= options.enough_nats;
   design.why = in_words(design, rivals, best.kind, options.enough_nats);

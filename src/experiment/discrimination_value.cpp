@@ -18,6 +18,8 @@ namespace {
 constexpr double kBudget_s = 3.0;
 /// A rival that strays further does not do what the trajectory is about.
 constexpr double kTrackingLimit_N = 1500.0;
+/// Rivals that the runs so far allow do not differ by more standard deviations in one reading.
+constexpr double kLargestCredible = 8.0;
 /// Undetermined parameters stay as they are where the run does not move them either.
 constexpr double kRidge = 1e-9;
 
@@ -197,7 +199,8 @@ RivalComparison::Evidence RivalComparison::against(const std::vector<FitRun>& re
   const std::vector<Entry> all = entries(estimate.parameters, shape.places());
   const auto size = static_cast<Eigen::Index>(all.size());
   Eigen::VectorXd moved = Eigen::VectorXd::Zero(size), step;
-  Evidence best{std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity()};
+  Evidence best{std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(),
+                std::numeric_limits<double>::infinity()};
   for (int round = 0;; ++round) {
     const ParameterScores scores = score_parameters(runs, estimate);
     if (!scores.possible) break;
@@ -208,6 +211,7 @@ RivalComparison::Evidence RivalComparison::against(const std::vector<FitRun>& re
     };
     best.of_one = std::min(best.of_one, left(1.0));
     best.of_many = std::min(best.of_many, left(repeats));
+    best.largest_innovation = std::min(best.largest_innovation, scores.largest_innovation);
     if (round >= relinearisations) break;
     for (Eigen::Index i = 0; i < size; ++i) {
       const Entry& entry = all[static_cast<std::size_t>(i)];
@@ -223,7 +227,7 @@ RivalComparison::Evidence RivalComparison::against(const std::vector<FitRun>& re
 
 RivalComparison::Evidence RivalComparison::hardest(const Reference& reference, int repeats,
                                                    int relinearisations, DiscriminationValue& value) const {
-  Evidence least{std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity()};
+  Evidence least{std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), 0.0};
   value = {};
   std::vector<Tracked> tracked;
   for (const RivalModel& rival : rivals_) {
@@ -233,12 +237,13 @@ RivalComparison::Evidence RivalComparison::hardest(const Reference& reference, i
       return {};
     }
   }
-  value.feasible = true;
+  value.feasible = value.credible = true;
   for (std::size_t truth = 0; truth < rivals_.size(); ++truth)
     for (std::size_t other = 0; other < rivals_.size(); ++other) {
       if (other == truth) continue;
       const Evidence evidence = against(tracked[truth].runs, other, repeats, relinearisations);
       least.of_one = std::min(least.of_one, evidence.of_one);
+      value.credible = value.credible && evidence.largest_innovation <= kLargestCredible;
       if (evidence.of_many >= least.of_many) continue;
       least.of_many = evidence.of_many;
       value.first = std::min(truth, other);
@@ -246,7 +251,7 @@ RivalComparison::Evidence RivalComparison::hardest(const Reference& reference, i
     }
   // Nothing bounded that any rival could say of another's readings: as far apart as can be.
   constexpr double kAll = 1e9;
-  return {std::min(least.of_one, kAll), std::min(least.of_many, kAll)};
+  return {std::min(least.of_one, kAll), std::min(least.of_many, kAll), 0.0};
 }
 
 DiscriminationValue RivalComparison::evaluate(const Reference& reference, int relinearisations) const {

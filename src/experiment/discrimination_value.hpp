@@ -34,6 +34,7 @@ class RivalComparison {
   Tracked track(const Reference& reference, const RivalModel& rival) const;
   struct Evidence {
     double of_one = 0.0, of_many = 0.0;
+    double largest_innovation = 0.0;
   };
   Evidence against(const std::vector<FitRun>& runs, std::size_t rival, int repeats,
                    int relinearisations) const;

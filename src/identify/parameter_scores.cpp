@@ -1,5 +1,7 @@
 #include "clampd/identify/parameter_scores.hpp"
 
+#include <algorithm>
+
 #include <Eigen/Cholesky>
 
 #include "clampd/base/assert.hpp"
@@ -27,6 +29,8 @@ ParameterScores score_parameters(std::span<const FitRun> runs, const ExtendedEst
       return scores;
     compute_normal(runs[r], linear);
     if (!linear.normal.allFinite()) return scores;
+    scores.largest_innovation =
+        std::max(scores.largest_innovation, linear.innovations.row(p + locals).cwiseAbs().maxCoeff());
     // What the initial state may answer, within its prior, does not count.
     Eigen::MatrixXd local_block = linear.normal.block(p, p, locals, locals);
     local_block(0, 0) += 1.0 / (kInitialPositionPrior_rad * kInitialPositionPrior_rad);

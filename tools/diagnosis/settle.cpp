@@ -13,6 +13,8 @@ namespace clampd {
 namespace {
 
 constexpr std::ptrdiff_t kMostRivals = 3;
+/// Expected of one round; two rounds of it settle most doubts, and a wrong decision it makes none.
+constexpr double kWorthIt_nats = 6.0;
 
 Result<Discrimination> design_between(std::span<const Diagnosis::Rival> group, const NoiseLevels& noise,
                                       const BrakeParameters& nominal, std::size_t runs_so_far) {
@@ -20,6 +22,7 @@ Result<Discrimination> design_between(std::span<const Diagnosis::Rival> group, c
   for (const Diagnosis::Rival& rival : group) rivals.push_back({rival.name, rival.model, rival.covariance});
   DiscriminationOptions options;
   options.run_number = static_cast<double>(runs_so_far);
+  options.enough_nats = kWorthIt_nats;
   return design_discrimination(rivals, noise, nominal, options);
 }
 

@@ -45,8 +45,11 @@ struct DiscriminationOptions {
 
 /// What one trajectory tells between the rivals.
 struct DiscriminationValue {
-  bool feasible = false;                  ///< every rival tracks it within the limits
-  std::string infeasible;                 ///< why not
+  bool feasible = false;   ///< every rival tracks it within the limits
+  std::string infeasible;  ///< why not
+  /// False: a rival is lost on another's readings, as a filter is that sticks where the brake slides. What it
+  /// says then is no measure of what a fit would make of them.
+  bool credible = false;
   double evidence_nats = 0.0;             ///< of one run, between the two hardest to tell apart
   double evidence_per_sample_nats = 0.0;  ///< over about three seconds of repeats
   std::size_t first = 0, second = 0;      ///< those two

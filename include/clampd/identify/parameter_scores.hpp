@@ -14,6 +14,7 @@ namespace clampd {
 struct ParameterScores {
   bool possible = false;  ///< the filter stays bounded and the estimate within its bounds
   double half_squares = 0.0;
+  double largest_innovation = 0.0;  ///< over its standard deviation, before anything follows
   Eigen::VectorXd gradient;
   Eigen::MatrixXd information;
 };

@@ -1,0 +1,193 @@
+// Settling an ambiguous diagnosis: on the simulated brake, and what a user sees of it.
+
+#include "tools/diagnosis/settle.hpp"
+
+#include <sys/wait.h>
+
+#include <cstdio>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "clampd/experiment/reference.hpp"
+#include "clampd/experiment/robust_design.hpp"
+#include "clampd/identify/extended_fit.hpp"
+#include "support/temporary_directory.hpp"
+#include "tools/simulation/simulate.hpp"
+
+namespace clampd {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+sim::PlantConfiguration plant_with(const std::string& effect, double value) {
+  sim::PlantConfiguration plant;
+  plant.sensors = {.force_noise_N = 50.0, .velocity_noise_rad_s = 0.8, .torque_noise_Nm = 0.01};
+  EXPECT_TRUE(sim::set_effect(plant.effects, effect, value));
+  return plant;
+}
+
+std::vector<Run> drive(const sim::PlantConfiguration& plant, const Run& trajectory, int repeats) {
+  return simulate_manoeuvre(plant, build_reference(trajectory, {}).value(), {},
+                            static_cast<std::uint16_t>(repeats))
+      .value();
+}
+
+std::vector<Run> two_optimal_runs(const sim::PlantConfiguration& plant) {
+  return drive(
+      plant,
+      response_to({kKnownRobustBlocks_Nm.begin(), kKnownRobustBlocks_Nm.end()}, kKnownRobustBlockSamples, {}),
+      2);
+}
+
+using Runs = std::vector<Run>;
+using Driven = Result<Runs>;
+using Trajectory = Run;
+
+/// As diagnose() leaves it when it cannot tell two effects apart.
+Diagnosis ambiguous(const std::vector<Run>& runs, const std::vector<EffectValues>& starts) {
+  Diagnosis diagnosis;
+  diagnosis.verdict = DiagnosisVerdict::Ambiguous;
+  diagnosis.rivals.emplace_back();
+  diagnosis.rival_models.emplace_back();
+  const ExtendedEstimate base = fit_base(runs, {});
+  for (const EffectValues& values : starts) {
+    const ExtendedEstimate estimate = fit_extended(fit_runs(runs), with_effect(base, values));
+    const std::string name(info_of(*values.effect).name);
+    diagnosis.rivals.back().push_back(name);
+    diagnosis.rival_models.back().push_back({name, estimate.parameters, estimate.covariance});
+    diagnosis.noise_after = estimate.noise;
+  }
+  return diagnosis;
+}
+
+TEST(Settle, RunsTheExperimentAndNamesTheCause) {
+  const sim::PlantConfiguration plant = plant_with("inertia-error", 0.01);
+  const Runs runs = two_optimal_runs(plant);
+  const Diagnosis before =
+      ambiguous(runs, {{find_effect("torque-gain"), {-0.01}}, {find_effect("inertia-error"), {0.01}}});
+  int driven = 0;
+  sim::PlantConfiguration later = plant;
+  const auto settlement = settle(before, runs,
+                                 [&](const Trajectory& trajectory, int repeats) -> Driven {
+                                   later.seed = plant.seed + static_cast<std::uint64_t>(++driven);
+                                   return drive(later, trajectory, repeats);
+                                 },
+                                 {});
+  ASSERT_TRUE(settlement) << settlement.error().message;
+  EXPECT_EQ(settlement->diagnosis.verdict, DiagnosisVerdict::Explained) << settlement->words;
+  ASSERT_FALSE(settlement->diagnosis.effects.empty());
+  EXPECT_EQ(settlement->diagnosis.effects.front().name, "inertia-error");
+  EXPECT_EQ(driven, static_cast<int>(settlement->experiments.size()));
+  ASSERT_FALSE(settlement->experiments.empty());
+  std::size_t repeats = 0;
+  for (const NextExperiment& experiment : settlement->experiments)
+    repeats += static_cast<std::size_t>(experiment.repeats);
+  EXPECT_EQ(settlement->runs.size(), runs.size() + repeats);
+  EXPECT_FALSE(settlement->diagnosis.next_experiment);
+  EXPECT_THAT(settlement->words, AllOf(HasSubstr("settled"), Not(HasSubstr("not settled"))));
+}
+
+TEST(Settle, TwinsAreNotDrivenFor) {
+  const Runs runs = two_optimal_runs(plant_with("torque-offset", 0.02));
+  const Diagnosis before = ambiguous(
+      runs, {{find_effect("torque-offset"), {0.02}}, {find_effect("friction-asymmetry"), {0.02, 0.0}}});
+  const auto settlement = settle(before, runs,
+                                 [](const Trajectory&, int) -> Driven {
+                                   ADD_FAILURE() << "nothing was to be driven";
+                                   return failure("driven");
+                                 },
+                                 {});
+  ASSERT_TRUE(settlement) << settlement.error().message;
+  EXPECT_EQ(settlement->diagnosis.verdict, DiagnosisVerdict::Ambiguous);
+  EXPECT_TRUE(settlement->experiments.empty());
+  EXPECT_THAT(settlement->words, AllOf(HasSubstr("not settled"), HasSubstr("cannot be told apart")));
+  EXPECT_FALSE(next_experiment_for(before, {}));
+}
+
+TEST(Settle, ABrakeThatCannotBeDrivenEndsIt) {
+  const Runs runs = two_optimal_runs(plant_with("inertia-error", 0.01));
+  const auto settlement =
+      settle(ambiguous(runs, {{find_effect("torque-gain"), {-0.01}}, {find_effect("inertia-error"), {0.01}}}),
+             runs, [](const Trajectory&, int) -> Driven { return failure("the brake is gone"); }, {});
+  ASSERT_FALSE(settlement);
+  EXPECT_EQ(settlement.error().message, "the brake is gone");
+}
+
+TEST(Settle, WithoutRivalsThereIsNothingToDo) {
+  Diagnosis diagnosis;
+  diagnosis.verdict = DiagnosisVerdict::Adequate;
+  const auto settlement = settle(diagnosis, {}, {}, {});
+  ASSERT_TRUE(settlement);
+  EXPECT_TRUE(settlement->experiments.empty());
+  EXPECT_THAT(settlement->words, HasSubstr("nothing to settle"));
+  EXPECT_FALSE(next_experiment_for(diagnosis, {}));
+}
+
+struct Outcome {
+  int exit_code = -1;
+  std::string output;
+};
+
+class RunSettle : public ::testing::Test {
+ protected:
+  Outcome run(const std::string& plant, const std::string& arguments) {
+    folder_.write("plant.toml", plant);
+    const std::string line = "cd '" + folder_.path("") + "' && STATE_DIRECTORY='" + folder_.path("state") +
+                             "' " + CLAMPCTL + " run --serial S-1 --settle " + arguments + " 2>&1";
+    FILE* pipe = popen(line.c_str(), "r");
+    Outcome outcome;
+    char buffer[4096];
+    while (const std::size_t count = fread(buffer, 1, sizeof buffer, pipe))
+      outcome.output.append(buffer, count);
+    const int status = pclose(pipe);
+    outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
+    return outcome;
+  }
+  nlohmann::json document() { return nlohmann::json::parse(folder_.read("check.json")); }
+
+  support::TemporaryDirectory folder_;
+};
+
+constexpr const char* kSomeRuns = "--repeats 2 --simulated-brake plant.toml --json check.json";
+constexpr const char* kAmbiguous = "[effects]\ninertia-error = 0.005\n";
+
+TEST_F(RunSettle, DesignsRunsAndDecides) {
+  const Outcome outcome = run(kAmbiguous, kSomeRuns);
+  EXPECT_EQ(outcome.exit_code, document().at("verdict") == "PASS" ? 0 : 1) << outcome.output;
+  EXPECT_THAT(outcome.output, AllOf(HasSubstr("Next experiment"), HasSubstr("Settling: settled")));
+  const auto cause = document().at("cause");
+  EXPECT_EQ(cause.at("effect"), "inertia-error");
+  EXPECT_EQ(cause.at("verdict"), "explained");
+  EXPECT_FALSE(cause.at("experiments").empty());
+}
+
+TEST_F(RunSettle, ABrakeThatFallsSilentInTheExperimentEndsAsInEveryCheck) {
+  const Outcome outcome = run(
+      std::string(kAmbiguous) + "[[fault]]\nkind = \"silent\"\nat_s = 5.0\nduration_s = 100.0\n", kSomeRuns);
+  EXPECT_EQ(outcome.exit_code, 3) << outcome.output;
+  EXPECT_THAT(outcome.output, AllOf(HasSubstr("stopped sending"), HasSubstr("AMBIGUOUS")));
+  EXPECT_EQ(document().at("cause").at("verdict"), "ambiguous");
+}
+
+TEST_F(RunSettle, AGoodBrakeNeedsNone) {
+  const Outcome outcome = run("", kSomeRuns);
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_TRUE(document().at("cause").is_null());
+  EXPECT_THAT(outcome.output, Not(HasSubstr("Next experiment")));
+}
+
+TEST_F(RunSettle, ADaemonCannotAndSaysSo) {
+  folder_.write("station.toml", "[can]\ninterface = \"can77\"\n");
+  const Outcome outcome = run("", "--config station.toml");
+  EXPECT_EQ(outcome.exit_code, 2) << outcome.output;
+  EXPECT_THAT(outcome.output, AllOf(HasSubstr("--settle"), HasSubstr("clampctl diagnose")));
+}
+
+}  // namespace
+}  // namespace clampd
