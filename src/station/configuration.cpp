@@ -156,6 +156,15 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
     std::string method(to_string(c.method));
     reader.choice("method", method, {"oem", "pem"});
     c.method = *parse_method(method);
+    reader.path("model", c.model, folder);
+    if (!c.model.empty()) {
+      if (reader.has("method") && c.method != Method::PredictionError)
+        reader.refuse((*parsed)["check"]["method"].node()->source(),
+                      "check.method = oem and check.model exclude each other: effects are estimated by the "
+                      "prediction error method; write \"pem\" or leave the method out");
+      c.method = Method::PredictionError;
+    }
+    reader.boolean("diagnose", c.diagnose);
     reader.number("deadline_s", c.deadline_s, 1.0, 3'600.0);
   });
   read_section(document, "validity", path, error, [&](TableReader& reader) {

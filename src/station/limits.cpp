@@ -1,5 +1,6 @@
 #include "clampd/station/limits.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -19,6 +20,51 @@ LimitInterval times_nominal(const LimitInterval& normalised, double nominal) {
   const double a = normalised.lower * nominal;
   const double b = normalised.upper * nominal;
   return a < b ? LimitInterval{a, b} : LimitInterval{b, a};  // k1 is negative
+}
+
+/// Both ends of one interval; what is wrong with it is refused.
+LimitInterval read_interval(const toml::table& entry, const std::string& section, std::string_view name,
+                            const std::string& path, std::optional<Error>& error) {
+  TableReader reader(entry, fmt::format("{}.{}", section, name), path, error);
+  LimitInterval interval;
+  reader.number("lower", interval.lower, -kInfinity, kInfinity);
+  reader.number("upper", interval.upper, -kInfinity, kInfinity);
+  reader.finish();
+  if (!reader.has("lower") || !reader.has("upper"))
+    reader.refuse(entry.source(), fmt::format("{} needs both lower and upper", name));
+  if (!(interval.lower < interval.upper))
+    reader.refuse(entry.source(),
+                  fmt::format("{}: lower {} must be below upper {}", name, interval.lower, interval.upper));
+  return interval;
+}
+
+void read_effects(TableReader& document, const std::string& path, std::optional<Error>& error,
+                  std::vector<EffectLimit>& limits) {
+  const toml::table* tables = document.table("effects");
+  if (tables == nullptr || error) return;
+  TableReader of_effects(*tables, "effects", path, error);
+  for (const Effect* effect : effects()) {
+    const EffectInfo& info = info_of(*effect);
+    const toml::table* table = of_effects.table(info.name);
+    if (table == nullptr || error) continue;
+    const std::string section = fmt::format("effects.{}", info.name);
+    TableReader parameters(*table, section, path, error);
+    for (const EffectParameter& parameter : info.parameters) {
+      if (!is_estimated(parameter)) {
+        if (parameters.has(parameter.name))
+          parameters.refuse(table->get(parameter.name)->source(),
+                            fmt::format("{} of {} is chosen, not estimated: it cannot have limits",
+                                        parameter.name, info.name));
+        continue;
+      }
+      const toml::table* entry = parameters.table(parameter.name);
+      if (entry == nullptr || error) continue;
+      limits.push_back({std::string(info.name), std::string(parameter.name),
+                        read_interval(*entry, section, parameter.name, path, error)});
+    }
+    parameters.finish();
+  }
+  of_effects.finish();
 }
 
 }  // namespace
@@ -45,25 +91,17 @@ Result<LimitSet> parse_limits(const std::string& text, const std::string& path) 
     for (std::size_t i = 0; i < kParameterCount; ++i) {
       const toml::table* entry = parameters.table(kParameterTable[i].name);
       if (entry == nullptr || error) continue;
-      TableReader reader(*entry, fmt::format("{}.{}", section, kParameterTable[i].name), path, error);
-      LimitInterval interval;
-      reader.number("lower", interval.lower, -kInfinity, kInfinity);
-      reader.number("upper", interval.upper, -kInfinity, kInfinity);
-      reader.finish();
-      if (!reader.has("lower") || !reader.has("upper"))
-        reader.refuse(entry->source(), fmt::format("{} needs both lower and upper", kParameterTable[i].name));
-      if (!(interval.lower < interval.upper))
-        reader.refuse(entry->source(), fmt::format("{}: lower {} must be below upper {}",
-                                                   kParameterTable[i].name, interval.lower, interval.upper));
+      const LimitInterval interval = read_interval(*entry, section, kParameterTable[i].name, path, error);
       if (given[i])
-        reader.refuse(entry->source(), fmt::format("{} has limits twice, in [parameters] and in "
-                                                   "[parameters_normalised]",
-                                                   kParameterTable[i].name));
+        parameters.refuse(entry->source(), fmt::format("{} has limits twice, in [parameters] and in "
+                                                       "[parameters_normalised]",
+                                                       kParameterTable[i].name));
       given[i] = true;
       limits.intervals[i] = normalised ? times_nominal(interval, kParameterTable[i].nominal) : interval;
     }
     parameters.finish();
   }
+  read_effects(document, path, error, limits.effects);
   document.finish();
   if (error) return tl::unexpected(*error);
   for (std::size_t i = 0; i < kParameterCount; ++i)
@@ -74,6 +112,25 @@ Result<LimitSet> parse_limits(const std::string& text, const std::string& path) 
                       path, kParameterTable[i].name, kParameterTable[i].name));
   if (limits.revision.empty()) return failure(fmt::format("{}: no revision; every record names it", path));
   return limits;
+}
+
+Result<void> check_limits(const LimitSet& limits, const ExtendedParameters& model) {
+  for (const EffectLimit& limit : limits.effects) {
+    const auto count = std::count_if(
+        model.effects.begin(), model.effects.end(),
+        [&](const EffectValues& values) { return info_of(*values.effect).name == limit.effect; });
+    if (count == 0)
+      return failure(
+          fmt::format("{}: [effects.{}] has limits, but a check does not estimate this effect: name a model "
+                      "with it in [check] model, or remove the limits",
+                      limits.file, limit.effect));
+    if (count > 1)
+      return failure(
+          fmt::format("{}: [effects.{}] has limits, but the model of [check] has this effect {} "
+                      "times: it cannot be told which one is meant",
+                      limits.file, limit.effect, count));
+  }
+  return {};
 }
 
 Result<LimitSet> read_limits(const std::string& path) {

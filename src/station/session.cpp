@@ -9,6 +9,7 @@
 #include "clampd/base/assert.hpp"
 #include "clampd/base/clock.hpp"
 #include "clampd/record/utc.hpp"
+#include "clampd/station/cause.hpp"
 #include "clampd/station/verdict.hpp"
 
 namespace clampd {
@@ -102,21 +103,38 @@ Result<void> validate(const CheckRequest& request) {
   return {};
 }
 
-ParameterVector tare_sd_normalised(const Estimate& joint, const Tare& tare) {
+namespace {
+
+Eigen::Vector2d offset_sd(const Tare& tare) {
   const double mean_of = std::sqrt(static_cast<double>(std::max<std::uint64_t>(tare.samples, 1)));
-  const Eigen::Vector2d offset_sd(tare.force_sd_N / mean_of, tare.velocity_sd_rad_s / mean_of);
-  return (joint.offset_sensitivity * offset_sd.asDiagonal()).rowwise().norm();
+  return {tare.force_sd_N / mean_of, tare.velocity_sd_rad_s / mean_of};
+}
+
+/// With what the tare adds, as tare_sd_normalised().
+std::vector<EffectEstimate> with_tare_sd(std::vector<EffectEstimate> effects, const Tare& tare) {
+  const Eigen::Vector2d offset = offset_sd(tare);
+  for (EffectEstimate& effect : effects)
+    effect.sd = std::hypot(effect.sd, effect.offset_sensitivity[0] * offset[0],
+                           effect.offset_sensitivity[1] * offset[1]);
+  return effects;
+}
+
+}  // namespace
+
+ParameterVector tare_sd_normalised(const Estimate& joint, const Tare& tare) {
+  return (joint.offset_sensitivity * offset_sd(tare).asDiagonal()).rowwise().norm();
 }
 
 CheckSession::CheckSession(const StationConfiguration& configuration, const LimitSet& limits,
                            const CheckRequest& request, const CheckContext& context, Estimator estimator,
-                           WorkerMode mode)
+                           WorkerMode mode, Diagnoser diagnoser)
     : configuration_(configuration),
       limits_(limits),
       started_utc_ns_(context.started_utc_ns),
       repeats_(request.repeats > 0 ? request.repeats : configuration.check.repeats),
       collector_(context.trajectory_rows),
-      worker_(std::move(estimator), estimator_options(configuration), repeats_, mode) {
+      worker_(std::move(estimator), estimator_options(configuration), repeats_, mode),
+      diagnoser_(std::move(diagnoser)) {
   CLAMPD_ASSERT(validate(request).has_value());
   record_.id = make_record_id(context.started_utc_ns);
   record_.serial = request.serial;
@@ -147,6 +165,24 @@ void CheckSession::consume(const Sample& sample) {
 CheckSession::Progress CheckSession::progress() const {
   return {samples_.load(std::memory_order_relaxed), repeats_, recorded_.load(std::memory_order_relaxed),
           worker_.identified()};
+}
+
+/// The verdict stays: runs that nothing explains, or something else than the model, say nothing about limits.
+void CheckSession::name_cause(CheckRecord& record) const {
+  std::vector<Run> runs;
+  for (const RunRecord& run : record.runs) runs.push_back(run.run);
+  DiagnoseOptions options;
+  options.nominal = configuration_.model;
+  const Result<Diagnosis> diagnosis = diagnoser_(runs, options);
+  if (!diagnosis) {
+    record.reason += fmt::format(" The cause could not be sought: {}.", diagnosis.error().message);
+    return;
+  }
+  record.cause = cause_of(*diagnosis);
+  record.reason += record.cause
+                       ? " " + diagnosis->summary
+                       : " A diagnosis finds no cause but noise: is validity.torque_noise_Nm too low, "
+                         "or do the runs differ?";
 }
 
 CheckRecord CheckSession::finish(CheckOutcome outcome) {
@@ -186,12 +222,13 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   if (facts.estimated) {
     const ParameterVector nominal = nominal_parameters();
     facts.estimate = joint.parameters.theta;
-    facts.sd = (joint.covariance_normalised.diagonal() +
-                tare_sd_normalised(joint, collector_.tare()).cwiseAbs2())
-                   .cwiseSqrt()
-                   .cwiseProduct(nominal.cwiseAbs());
+    facts.sd =
+        (joint.covariance_normalised.diagonal() + tare_sd_normalised(joint, collector_.tare()).cwiseAbs2())
+            .cwiseSqrt()
+            .cwiseProduct(nominal.cwiseAbs());
     const ExpectedResidual expected = expected_residual(collector_.tare(), record.runs, configuration_.model,
                                                         configuration_.validity.torque_noise_Nm);
+    facts.effects = with_tare_sd(joint.effects, collector_.tare());
     facts.misfit_force = ratio(joint.force_rms_N, expected.force_N);
     facts.misfit_velocity = ratio(joint.velocity_rms_rad_s, expected.velocity_rad_s);
     for (int row = 0; row < joint.covariance_normalised.rows(); ++row)
@@ -207,6 +244,7 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   record.marginal = judgement.marginal;
   record.reason = std::move(judgement.reason);
   record.parameters = std::move(judgement.parameters);
+  if (judgement.unexplained && configuration_.check.diagnose) name_cause(record);
   return record;
 }
 

@@ -2,27 +2,36 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
 
 #include <fmt/format.h>
 
 namespace clampd {
 namespace {
 
-bool is_inside(const ParameterRecord& parameter) {
-  return parameter.value >= parameter.lower && parameter.value <= parameter.upper;
+/// A parameter with what it is judged by: its limits, less those that no value can be beyond.
+struct Judged {
+  ParameterRecord record;
+  LimitInterval limits;
+};
+
+bool is_inside(const Judged& parameter) {
+  return parameter.record.value >= parameter.limits.lower && parameter.record.value <= parameter.limits.upper;
 }
 
-std::string describe(const ParameterRecord& parameter) {
-  const bool low = parameter.value - parameter.lower < parameter.upper - parameter.value;
-  return fmt::format("{} is {:.4g} {}, {} its {} limit {:.4g} {}", parameter.name, parameter.value,
-                     parameter.unit, is_inside(parameter) ? "close to" : (low ? "below" : "above"),
-                     low ? "lower" : "upper", low ? parameter.lower : parameter.upper, parameter.unit);
+std::string describe(const Judged& parameter) {
+  const auto& [record, limits] = parameter;
+  const bool low = record.value - limits.lower < limits.upper - record.value;
+  return fmt::format("{} is {:.4g} {}, {} its {} limit {:.4g} {}", record.name, record.value, record.unit,
+                     is_inside(parameter) ? "close to" : (low ? "below" : "above"), low ? "lower" : "upper",
+                     low ? record.lower : record.upper, record.unit);
 }
 
 template <class Predicate>
-std::string describe_all(const std::vector<ParameterRecord>& parameters, Predicate wanted) {
+std::string describe_all(const std::vector<Judged>& parameters, Predicate wanted) {
   std::string text;
-  for (const ParameterRecord& parameter : parameters) {
+  for (const Judged& parameter : parameters) {
     if (!wanted(parameter)) continue;
     if (!text.empty()) text += "; ";
     text += describe(parameter);
@@ -30,8 +39,54 @@ std::string describe_all(const std::vector<ParameterRecord>& parameters, Predica
   return text;
 }
 
+Judged judged(std::string name, std::string unit, double value, double sd, const LimitInterval& given,
+              const LimitInterval& decisive, double guard_band_k) {
+  return {{std::move(name), std::move(unit), value, sd, given.lower, given.upper,
+           judge_parameter(value, sd, decisive, guard_band_k)},
+          decisive};
+}
+
+const EffectEstimate* find_estimate(const CheckFacts& facts, const EffectLimit& limit) {
+  const auto found = std::find_if(facts.effects.begin(), facts.effects.end(), [&](const auto& estimate) {
+    return estimate.effect == limit.effect && estimate.parameter == limit.parameter;
+  });
+  return found == facts.effects.end() ? nullptr : &*found;
+}
+
+bool is_known(const EffectEstimate* estimate) {
+  return estimate != nullptr && std::isfinite(estimate->value) && estimate->sd >= 0.0;
+}
+
+LimitInterval decisive_limits(const EffectLimit& limit) {
+  LimitInterval decisive = limit.interval;
+  for (const EffectParameter& parameter : info_of(*find_effect(limit.effect)).parameters) {
+    if (parameter.name != limit.parameter) continue;
+    constexpr double kInfinity = std::numeric_limits<double>::infinity();
+    if (decisive.lower <= parameter.lower) decisive.lower = -kInfinity;
+    if (decisive.upper >= parameter.upper) decisive.upper = kInfinity;
+  }
+  return decisive;
+}
+
+std::vector<Judged> judge_parameters(const CheckFacts& facts, const LimitSet& limits) {
+  std::vector<Judged> parameters;
+  if (!facts.estimated || !facts.estimate.allFinite() || !facts.sd.allFinite()) return parameters;
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const auto k = static_cast<Eigen::Index>(i);
+    const ParameterInfo& info = kParameterTable[i];
+    parameters.push_back(judged(std::string(info.name), std::string(info.unit), facts.estimate[k],
+                                facts.sd[k], limits.intervals[i], limits.intervals[i], limits.guard_band_k));
+  }
+  for (const EffectLimit& limit : limits.effects)
+    if (const EffectEstimate* estimate = find_estimate(facts, limit); is_known(estimate))
+      parameters.push_back(judged(limit.effect + "." + limit.parameter, estimate->unit, estimate->value,
+                                  estimate->sd, limit.interval, decisive_limits(limit), limits.guard_band_k));
+  return parameters;
+}
+
 /// Why nothing can be said about the brake; empty if something can.
-std::string invalidity(const CheckFacts& facts, const ValiditySettings& validity) {
+std::string invalidity(const CheckFacts& facts, const LimitSet& limits, const ValiditySettings& validity,
+                       bool& unexplained) {
   if (facts.samples_lost > validity.lost_samples_max)
     return fmt::format("{} samples got lost ({} allowed): check the bus and the station's load.",
                        facts.samples_lost, validity.lost_samples_max);
@@ -46,9 +101,14 @@ std::string invalidity(const CheckFacts& facts, const ValiditySettings& validity
       (facts.sd.array() < 0.0).any())
     return fmt::format("No parameters could be identified from the runs{}{}.",
                        facts.estimate_text.empty() ? "" : ": ", facts.estimate_text);
+  for (const EffectLimit& limit : limits.effects)
+    if (!is_known(find_estimate(facts, limit)))
+      return fmt::format("{}.{} could not be identified from the runs, so that it cannot be judged.",
+                         limit.effect, limit.parameter);
   const bool force = !(facts.misfit_force <= validity.misfit_max);
   const bool velocity = !(facts.misfit_velocity <= validity.misfit_max);
-  if (force || velocity)
+  unexplained = force || velocity;
+  if (unexplained)
     return fmt::format(
         "The brake model does not explain the measured {}: the misfit is {:.1f} times what sensor noise "
         "explains ({:.3g} allowed).",
@@ -69,16 +129,8 @@ ParameterVerdict judge_parameter(double value, double sd, const LimitInterval& l
 
 Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValiditySettings& validity) {
   Judgement judgement;
-  if (facts.estimated && facts.estimate.allFinite() && facts.sd.allFinite()) {
-    for (std::size_t i = 0; i < kParameterCount; ++i) {
-      const auto k = static_cast<Eigen::Index>(i);
-      const ParameterInfo& info = kParameterTable[i];
-      const LimitInterval& interval = limits.intervals[i];
-      judgement.parameters.push_back(
-          {std::string(info.name), std::string(info.unit), facts.estimate[k], facts.sd[k], interval.lower,
-           interval.upper, judge_parameter(facts.estimate[k], facts.sd[k], interval, limits.guard_band_k)});
-    }
-  }
+  const std::vector<Judged> parameters = judge_parameters(facts, limits);
+  for (const Judged& parameter : parameters) judgement.parameters.push_back(parameter.record);
   const auto decide = [&](Verdict verdict, bool marginal, std::string reason) {
     judgement.verdict = verdict;
     judgement.marginal = marginal;
@@ -93,38 +145,43 @@ Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValidityS
                       : facts.fault_text);
   if (facts.deadline_passed)
     return decide(Verdict::Timeout, false, "The check did not end before its deadline.");
-  if (std::string why = invalidity(facts, validity); !why.empty())
+  if (std::string why = invalidity(facts, limits, validity, judgement.unexplained); !why.empty())
     return decide(Verdict::Error, false, std::move(why));
 
-  const auto fails = [](const ParameterRecord& p) { return p.verdict == ParameterVerdict::Fail; };
-  const auto is_marginal = [](const ParameterRecord& p) { return p.verdict == ParameterVerdict::Marginal; };
-  const auto undecidable = [&](const ParameterRecord& p) {
-    return is_marginal(p) && 2.0 * limits.guard_band_k * p.sd >= p.upper - p.lower;
+  const auto fails = [](const Judged& p) { return p.record.verdict == ParameterVerdict::Fail; };
+  const auto is_marginal = [](const Judged& p) { return p.record.verdict == ParameterVerdict::Marginal; };
+  const auto undecidable = [&](const Judged& p) {
+    // Between a limit and where no value can be, there is only one guard band.
+    const bool one_sided = std::isinf(p.limits.lower) || std::isinf(p.limits.upper);
+    return is_marginal(p) &&
+           (one_sided ? 1.0 : 2.0) * limits.guard_band_k * p.record.sd >= p.record.upper - p.record.lower;
   };
-  const auto marginal_outside = [&](const ParameterRecord& p) { return is_marginal(p) && !is_inside(p); };
+  const auto marginal_outside = [&](const Judged& p) { return is_marginal(p) && !is_inside(p); };
   const auto any = [&](auto predicate) {
-    return std::any_of(judgement.parameters.begin(), judgement.parameters.end(), predicate);
+    return std::any_of(parameters.begin(), parameters.end(), predicate);
   };
 
-  if (any(fails)) return decide(Verdict::Fail, false, describe_all(judgement.parameters, fails) + ".");
+  if (any(fails)) return decide(Verdict::Fail, false, describe_all(parameters, fails) + ".");
   if (any(undecidable)) {
-    const ParameterRecord& worst =
-        *std::find_if(judgement.parameters.begin(), judgement.parameters.end(), undecidable);
+    const ParameterRecord& worst = std::find_if(parameters.begin(), parameters.end(), undecidable)->record;
     return decide(Verdict::Error, false,
                   fmt::format("{} is too uncertain to be judged (± {:.2g} {}): more repeats, or less noise.",
                               worst.name, worst.sd, worst.unit));
   }
   if (any(marginal_outside))
     return decide(Verdict::Fail, true,
-                  describe_all(judgement.parameters, marginal_outside) + ", by less than its uncertainty.");
+                  describe_all(parameters, marginal_outside) + ", by less than its uncertainty.");
   if (!(facts.tracking_rms_N <= validity.tracking_rms_max_N))
     return decide(Verdict::Error, false,
                   fmt::format("The brake did not follow the trajectory: {:.0f} N rms off ({:.0f} N allowed).",
                               facts.tracking_rms_N, validity.tracking_rms_max_N));
   if (any(is_marginal))
     return decide(Verdict::Pass, true,
-                  describe_all(judgement.parameters, is_marginal) + ", by less than its uncertainty.");
-  return decide(Verdict::Pass, false, "All seven parameters are within their limits.");
+                  describe_all(parameters, is_marginal) + ", by less than its uncertainty.");
+  return decide(Verdict::Pass, false,
+                parameters.size() == kParameterCount
+                    ? "All seven parameters are within their limits."
+                    : fmt::format("All {} parameters are within their limits.", parameters.size()));
 }
 
 int exit_code(Verdict verdict) {

@@ -30,6 +30,19 @@ TEST(StationConfiguration, AnEmptyFileIsTheDefault) {
   EXPECT_EQ(configuration->database, default_database());
 }
 
+TEST(StationConfiguration, AnExtendedModelIsForThePredictionErrorMethod) {
+  const auto extended = parse("[check]\nmodel = \"extended.toml\"\ndiagnose = false\n");
+  ASSERT_TRUE(extended) << extended.error().message;
+  EXPECT_EQ(extended->check.model, "/etc/clampd/extended.toml");
+  EXPECT_EQ(extended->check.method, Method::PredictionError);
+  EXPECT_FALSE(extended->check.diagnose);
+  EXPECT_TRUE(parse("[check]\nmodel = \"extended.toml\"\nmethod = \"pem\"\n"));
+  const auto both = parse("[check]\nmethod = \"oem\"\nmodel = \"extended.toml\"\n");
+  ASSERT_FALSE(both);
+  EXPECT_THAT(both.error().message, StartsWith("/etc/clampd/station.toml:2:10: "));
+  EXPECT_THAT(both.error().message, HasSubstr("exclude each other"));
+}
+
 TEST(StationConfiguration, TheShippedFileSaysTheDefaults) {
   const auto shipped = read_station_configuration(CLAMPD_SOURCE_DIR "/configs/station.toml");
   ASSERT_TRUE(shipped) << shipped.error().message;
@@ -67,6 +80,9 @@ TEST(StationConfiguration, TheShippedFileSaysTheDefaults) {
   EXPECT_EQ(shipped->check.phase_timeout_s, defaults.check.phase_timeout_s);
   EXPECT_EQ(shipped->check.torque_limit_Nm, defaults.check.torque_limit_Nm);
   EXPECT_EQ(shipped->check.deadline_s, defaults.check.deadline_s);
+  EXPECT_EQ(shipped->check.method, defaults.check.method);
+  EXPECT_EQ(shipped->check.model, defaults.check.model);
+  EXPECT_EQ(shipped->check.diagnose, defaults.check.diagnose);
   EXPECT_EQ(shipped->validity.skipped_ticks_max, defaults.validity.skipped_ticks_max);
   EXPECT_EQ(shipped->validity.lost_samples_max, defaults.validity.lost_samples_max);
   EXPECT_EQ(shipped->validity.tracking_rms_max_N, defaults.validity.tracking_rms_max_N);

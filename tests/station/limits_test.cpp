@@ -67,6 +67,34 @@ TEST(Limits, TheShippedSetPassesNominalAndNotASoftCaliper) {
   EXPECT_GT(limits.intervals[k2].lower, 0.75 * nominal[k2]);
 }
 
+ExtendedParameters model_of(std::initializer_list<const char*> names) {
+  ExtendedParameters model;
+  for (const char* name : names) {
+    const Effect* effect = find_effect(name);
+    model.effects.push_back({effect, std::vector<double>(info_of(*effect).parameters.size(), 0.0)});
+  }
+  return model;
+}
+
+TEST(Limits, OfEffectsNeedAModelThatEstimatesThem) {
+  const auto limits =
+      parse_limits(kGood + "[effects.backlash]\nplay = {lower = 0.0, upper = 0.3}\n", "l.toml");
+  ASSERT_TRUE(limits) << limits.error().message;
+  ASSERT_EQ(limits->effects.size(), 1u);
+  EXPECT_EQ(limits->effects[0].effect, "backlash");
+  EXPECT_EQ(limits->effects[0].parameter, "play");
+  EXPECT_EQ(limits->effects[0].interval.upper, 0.3);
+
+  EXPECT_TRUE(check_limits(*limits, model_of({"force-lag", "backlash"})));
+  EXPECT_TRUE(check_limits(*parse_limits(kGood, "l.toml"), model_of({"backlash"})));
+  const auto lacking = check_limits(*limits, model_of({"force-lag"}));
+  ASSERT_FALSE(lacking);
+  EXPECT_THAT(lacking.error().message,
+              HasSubstr("l.toml: [effects.backlash] has limits, but a check does not"));
+  EXPECT_THAT(check_limits(*limits, model_of({"backlash", "backlash"})).error().message,
+              HasSubstr("2 times"));
+}
+
 struct Refused {
   std::string label;
   std::string from;
@@ -104,6 +132,16 @@ INSTANTIATE_TEST_SUITE_P(
                 "guard_band_k = -1 is outside of 0 to 10"},
         Refused{"no_revision", "revision = \"7\"", "", "no revision"},
         Refused{"bad_date", "changed = 2026-11-20", "changed = \"yesterday\"", "YYYY-MM-DD"},
+        Refused{"unknown_effect", "[parameters]",
+                "[effects.backlsh]\nplay = {lower = 0, upper = 1}\n[parameters]", "did you mean backlash?"},
+        Refused{"unknown_effect_parameter", "[parameters]",
+                "[effects.backlash]\ngap = {lower = 0, upper = 1}\n[parameters]",
+                "unknown key gap in [effects.backlash]; known are play"},
+        Refused{"effect_swapped", "[parameters]",
+                "[effects.backlash]\nplay = {lower = 1, upper = 0}\n[parameters]",
+                "6:8: play: lower 1 must be below upper 0"},
+        Refused{"a_choice", "[parameters]",
+                "[effects.outliers]\nshare = {lower = 0, upper = 1}\n[parameters]", "chosen, not estimated"},
         Refused{"misspelt", "guard_band_k", "guard_band", "did you mean guard_band_k?"},
         Refused{"not_toml", "[parameters]", "[parameters", "not valid TOML"}),
     [](const auto& input) { return input.param.label; });

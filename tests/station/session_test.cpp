@@ -41,13 +41,23 @@ class Session : public ::testing::TestWithParam<WorkerMode> {
  protected:
   CheckRecord check(const std::vector<Sample>& stream, const Estimator& estimator,
                     CheckOutcome outcome = {}) {
-    CheckSession session(configuration, support::shipped_limits(), request, context, estimator, GetParam());
+    CheckSession session(configuration, limits, request, context, estimator, GetParam(),
+                         [this](Runs runs, const DiagnoseOptions& options) {
+                           ++diagnosed;
+                           EXPECT_EQ(runs.size(), 3u);
+                           EXPECT_EQ(options.nominal.theta, configuration.model.theta);
+                           EXPECT_FALSE(options.views);
+                           return diagnosis;
+                         });
     for (const Sample& sample : stream) session.consume(sample);
     outcome.stopped_utc_ns = context.started_utc_ns + 5'000'000'000;
     return session.finish(std::move(outcome));
   }
 
   StationConfiguration configuration;
+  LimitSet limits = support::shipped_limits();
+  Result<Diagnosis> diagnosis = Diagnosis{};  ///< what every diagnosis says
+  int diagnosed = 0;
   CheckRequest request{.serial = "S-1", .repeats = 3, .operator_name = "", .part_number = "P", .batch = ""};
   CheckContext context{.trajectory_rows = kRows,
                        .trajectory_sha256 = "abc",
@@ -142,6 +152,81 @@ TEST_P(Session, AFitThatDoesNotExplainTheRunsIsAnError) {
   EXPECT_THAT(record.reason, HasSubstr("does not explain the measured force"));
 }
 
+TEST_P(Session, RunsThatTheModelDoesNotExplainGetTheirCause) {
+  diagnosis->verdict = DiagnosisVerdict::Ambiguous;
+  diagnosis->summary = "The reading of clamp force comes late.";
+  NamedEffect lag;
+  lag.name = "force-lag";
+  lag.location = Location::ForceReading;
+  diagnosis->effects = {lag};
+  diagnosis->rivals = {{"force-lag", "pad-damping"}};
+  const CheckRecord record = check(samples, finds(nominal_parameters(), 5000.0));
+  EXPECT_EQ(record.verdict, Verdict::Error) << "whatever the cause, nothing is said about the brake";
+  EXPECT_THAT(record.reason, HasSubstr("does not explain the measured force"));
+  EXPECT_THAT(record.reason, HasSubstr("allowed). The reading of clamp force comes late."));
+  const CauseRecord expected{
+      "ambiguous", {"force-lag"}, "force-reading", {{"force-lag", "pad-damping"}}, diagnosis->summary};
+  ASSERT_TRUE(record.cause);
+  EXPECT_EQ(*record.cause, expected);
+}
+
+TEST_P(Session, WhatNoEffectExplainsIsLocated) {
+  diagnosis->verdict = DiagnosisVerdict::Unexplained;
+  diagnosis->misfit.location = Location::Stiffness;
+  const CheckRecord record = check(samples, finds(nominal_parameters(), 5000.0));
+  ASSERT_TRUE(record.cause);
+  EXPECT_TRUE(record.cause->effects.empty());
+  EXPECT_EQ(record.cause->location, "stiffness");
+}
+
+TEST_P(Session, ADiagnosisNeverLosesTheResult) {
+  diagnosis = failure("a reading is not a finite number");
+  const CheckRecord failed = check(samples, finds(nominal_parameters(), 5000.0));
+  EXPECT_EQ(failed.verdict, Verdict::Error);
+  EXPECT_THAT(failed.reason, HasSubstr("does not explain"));
+  EXPECT_THAT(failed.reason, HasSubstr("The cause could not be sought: a reading is not a finite number."));
+  EXPECT_FALSE(failed.cause);
+  EXPECT_EQ(failed.runs.size(), 3u);
+
+  diagnosis = Diagnosis{};  // adequate
+  const CheckRecord noisy = check(samples, finds(nominal_parameters(), 5000.0));
+  EXPECT_THAT(noisy.reason, HasSubstr("no cause but noise"));
+  EXPECT_FALSE(noisy.cause);
+}
+
+TEST_P(Session, DiagnosesOnlyWhatIsUnexplainedAndOnlyIfWanted) {
+  check(samples, finds(nominal_parameters()));
+  ParameterVector soft = nominal_parameters();
+  soft[k2] *= 0.7;
+  check(samples, finds(soft));
+  EXPECT_EQ(diagnosed, 0);
+  configuration.check.diagnose = false;
+  EXPECT_FALSE(check(samples, finds(nominal_parameters(), 5000.0)).cause);
+  EXPECT_EQ(diagnosed, 0);
+  configuration.check.diagnose = true;
+  check(samples, finds(nominal_parameters(), 5000.0));
+  EXPECT_EQ(diagnosed, 1);
+}
+
+TEST_P(Session, AnEffectIsJudgedWithTheTaresUncertainty) {
+  limits.effects = {{"backlash", "play", {0.0, 0.3}}};
+  const auto with_play = [](double value, double by_force) -> Estimator {
+    return [=](Runs runs, const EstimatorOptions& options) {
+      Estimate summary = finds(nominal_parameters())(runs, options);
+      summary.effects = {{"backlash", "play", "rad", value, 0.01, {by_force, 0.0}}};
+      return summary;
+    };
+  };
+  const CheckRecord failed = check(samples, with_play(0.52, 0.0));
+  EXPECT_EQ(failed.verdict, Verdict::Fail);
+  EXPECT_EQ(failed.reason, "backlash.play is 0.52 rad, above its upper limit 0.3 rad.");
+  ASSERT_EQ(failed.parameters.size(), 8u);
+  EXPECT_EQ(failed.parameters[7].name, "backlash.play");
+  EXPECT_DOUBLE_EQ(failed.parameters[7].sd, 0.01);
+  EXPECT_EQ(check(samples, with_play(0.1, 0.0)).verdict, Verdict::Pass);
+  EXPECT_GT(check(samples, with_play(0.1, 1.0)).parameters[7].sd, 0.02);
+}
+
 TEST_P(Session, WithoutATareThereIsNoVerdict) {
   std::erase_if(samples, [](const Sample& sample) { return sample.phase == CheckPhase::Tare; });
   const CheckRecord record = check(samples, finds(nominal_parameters()));
@@ -163,8 +248,7 @@ TEST_P(Session, AFitThatDoesNotConvergeIsAnErrorWithItsReason) {
 }
 
 TEST_P(Session, ShowsItsProgress) {
-  CheckSession session(configuration, support::shipped_limits(), request, context,
-                       finds(nominal_parameters()), GetParam());
+  CheckSession session(configuration, limits, request, context, finds(nominal_parameters()), GetParam());
   EXPECT_EQ(session.progress().repeats, 3u);
   EXPECT_EQ(session.progress().recorded, 0u);
   for (const Sample& sample : samples) session.consume(sample);

@@ -111,6 +111,65 @@ TEST(Judge, AnUncertaintyThatCouldNeverPassIsTheStationsFault) {
   EXPECT_THAT(judgement.reason, HasSubstr("k2 is too uncertain"));
 }
 
+LimitSet with_play_limits(double lower = 0.0, double upper = 0.3) {
+  LimitSet limits = support::shipped_limits();
+  limits.effects = {{"backlash", "play", {lower, upper}}};
+  return limits;
+}
+
+Judgement judged_play(double value, double sd, const LimitSet& limits = with_play_limits()) {
+  CheckFacts facts = good_facts();
+  facts.effects = {{"backlash", "play", "rad", value, sd}};
+  return judge(facts, limits, ValiditySettings{});
+}
+
+TEST(Judge, AnEffectIsJudgedLikeAnyOtherParameter) {
+  const Judgement passes = judged_play(0.1, 0.02);
+  EXPECT_EQ(passes.verdict, Verdict::Pass);
+  EXPECT_FALSE(passes.marginal);
+  EXPECT_EQ(passes.reason, "All 8 parameters are within their limits.");
+
+  const Judgement fails = judged_play(0.52, 0.02);
+  EXPECT_EQ(fails.verdict, Verdict::Fail);
+  EXPECT_EQ(fails.reason, "backlash.play is 0.52 rad, above its upper limit 0.3 rad.");
+
+  const Judgement marginal = judged_play(0.29, 0.02);
+  EXPECT_EQ(marginal.verdict, Verdict::Pass);
+  EXPECT_TRUE(marginal.marginal);
+  EXPECT_THAT(marginal.reason, HasSubstr("close to its upper limit 0.3 rad"));
+}
+
+TEST(Judge, ALimitWhereNoValueCanBeBeyondNeedsNoGuardBand) {
+  EXPECT_FALSE(judged_play(0.0, 0.02).marginal) << "no play at all is best";
+  EXPECT_EQ(judged_play(0.0, 0.02).parameters.back().lower, 0.0) << "as given";
+  EXPECT_TRUE(judged_play(0.11, 0.02, with_play_limits(0.1, 0.3)).marginal) << "but this one does";
+  // One guard band may take nearly all of the interval, two may not.
+  EXPECT_EQ(judged_play(0.2, 0.12).verdict, Verdict::Pass);
+  EXPECT_THAT(judged_play(0.2, 0.16).reason, HasSubstr("backlash.play is too uncertain"));
+}
+
+TEST(Judge, AnEffectWithoutAnEstimateIsNeverPassed) {
+  for (const double factor : {1.0, 0.7}) {
+    CheckFacts facts = good_facts();
+    facts.estimate[k2] *= factor;
+    EXPECT_EQ(judge(facts, with_play_limits(), ValiditySettings{}).verdict, Verdict::Error);
+    facts.effects = {{"backlash", "play", "rad", kNaN, kNaN}};
+    const Judgement judgement = judge(facts, with_play_limits(), ValiditySettings{});
+    EXPECT_EQ(judgement.verdict, Verdict::Error);
+    EXPECT_THAT(judgement.reason, HasSubstr("backlash.play could not be identified"));
+    EXPECT_FALSE(judgement.unexplained);
+  }
+}
+
+TEST(Judge, SaysWhetherTheModelIsTheProblem) {
+  EXPECT_FALSE(judged(good_facts()).unexplained);
+  CheckFacts facts = good_facts();
+  facts.misfit_velocity = 100.0;
+  EXPECT_TRUE(judged(facts).unexplained);
+  facts.fault = FaultCause::BusOff;
+  EXPECT_FALSE(judged(facts).unexplained);
+}
+
 struct Invalid {
   std::string label;
   void (*spoil)(CheckFacts&);

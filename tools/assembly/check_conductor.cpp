@@ -1,5 +1,9 @@
 #include "tools/assembly/check_conductor.hpp"
 
+#include <chrono>
+#include <future>
+#include <utility>
+
 #include <fmt/format.h>
 
 #include "clampd/base/clock.hpp"
@@ -61,8 +65,10 @@ Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
   context.trajectory_sha256 = station_.trajectory_sha256;
   context.software_version = std::string(kVersion);
   context.started_utc_ns = now.utc_ns;
-  session_ = std::make_unique<CheckSession>(station_.configuration, station_.limits, request, context,
-                                            estimator_of(station_.configuration.check.method), mode_);
+  session_ = std::make_unique<CheckSession>(
+      station_.configuration, station_.limits, request, context,
+      station_.model ? estimator_of(*station_.model) : estimator_of(station_.configuration.check.method),
+      mode_);
   serial_ = request.serial;
   started_steady_ns_ = now.steady_ns;
   deadline_passed_ = false;
@@ -73,13 +79,26 @@ Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
 }
 
 std::optional<CheckRecord> CheckConductor::pump(Instant now) {
+  if (concluding()) {
+    Sample idle;
+    while (core_.ring().pop(idle)) {
+    }
+    if (conclusion_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return std::nullopt;
+    return keep(conclusion_.get());
+  }
   // Read before the ring is emptied: what belongs to a finished check is in the ring by then.
   const bool finished =
       busy() && core_.status().checks_finished.load(std::memory_order_acquire) != finished_before_;
   Sample sample;
   while (core_.ring().pop(sample))
     if (busy() && sample.phase != CheckPhase::None) session_->consume(sample);
-  if (finished) return finish(now);
+  if (finished) {
+    if (mode_ == WorkerMode::Synchronous) return keep(session_->finish(outcome_at(now)));
+    conclusion_ = std::async(std::launch::async, [session = session_.get(), outcome = outcome_at(now)]() mutable {
+      return session->finish(std::move(outcome));
+    });
+    return std::nullopt;
+  }
   if (busy() && !deadline_passed_ &&
       static_cast<double>(now.steady_ns - started_steady_ns_) >
           station_.configuration.check.deadline_s * 1e9) {
@@ -93,7 +112,7 @@ CheckSession::Progress CheckConductor::progress() const {
   return busy() ? session_->progress() : CheckSession::Progress{};
 }
 
-CheckRecord CheckConductor::finish(Instant now) {
+CheckOutcome CheckConductor::outcome_at(Instant now) {
   const rt::StatusBoard& status = core_.status();
   const rt::HistogramSnapshot lateness = core_.lateness().snapshot();
   CheckOutcome outcome;
@@ -123,8 +142,10 @@ CheckRecord CheckConductor::finish(Instant now) {
   if (periods > 0.0)
     timing.bus_load = static_cast<double>(outcome.health.bus_bits) /
                       (static_cast<double>(station_.configuration.can.bitrate) * periods * kPeriod_s);
+  return outcome;
+}
 
-  CheckRecord record = session_->finish(std::move(outcome));
+CheckRecord CheckConductor::keep(CheckRecord record) {
   session_.reset();
   if (store_ != nullptr) {
     if (const Result<void> saved = store_->save(record); !saved) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <future>
 #include <memory>
 #include <optional>
 
@@ -32,16 +33,20 @@ class CheckConductor {
   /// under way.
   Result<void> begin(const CheckRequest& request, Instant now);
 
-  /// Empties the ring; gives the record once the check has ended. Call it at least every second: the ring
-  /// holds eight.
+  /// Empties the ring; gives the record once the check has ended and its runs are identified, and diagnosed
+  /// if need be: in the background mode beside the calls, which then never wait. Call it at least every
+  /// second: the ring holds eight.
   std::optional<CheckRecord> pump(Instant now);
 
   bool busy() const { return session_ != nullptr; }
+  /// The brake is done, the record not yet.
+  bool concluding() const { return conclusion_.valid(); }
   CheckSession::Progress progress() const;
   const std::string& serial() const { return serial_; }
 
  private:
-  CheckRecord finish(Instant now);
+  CheckOutcome outcome_at(Instant now);
+  CheckRecord keep(CheckRecord record);
 
   const PreparedStation& station_;
   rt::ControlCore& core_;
@@ -54,6 +59,7 @@ class CheckConductor {
   PortHealth health_before_;
   std::int64_t started_steady_ns_ = 0;
   bool deadline_passed_ = false;
+  std::future<CheckRecord> conclusion_;  ///< last: what makes it uses the session
 };
 
 }  // namespace clampd::assembly

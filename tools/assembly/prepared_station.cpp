@@ -1,6 +1,7 @@
 #include "tools/assembly/prepared_station.hpp"
 
 #include <array>
+#include <cmath>
 #include <filesystem>
 #include <string_view>
 #include <utility>
@@ -70,6 +71,24 @@ Result<can::ProtocolCodec> build_codec(const StationConfiguration& configuration
   return can::ProtocolCodec::build(*database, *mapping);
 }
 
+Result<ExtendedParameters> read_check_model(const StationConfiguration& configuration) {
+  const std::string& file = configuration.check.model;
+  Result<ExtendedParameters> model = read_extended_parameters(file);
+  if (!model) return model;
+  if (model->effects.empty())
+    return failure(
+        fmt::format("{}: has no [[effect]]; leave [check] model out to check by the base model", file));
+  const FixedParameters& found = model->base.fixed;
+  const FixedParameters& known = configuration.model.fixed;
+  const auto differs = [](double a, double b) { return std::abs(a - b) > 1e-9 * std::abs(b); };
+  if (differs(found.inertia_kg_m2, known.inertia_kg_m2) || differs(found.ratio_m_rad, known.ratio_m_rad))
+    return failure(fmt::format(
+        "{}: was found with J = {} kg m^2 and N = {} m/rad, but the station's brake has {} and {}; "
+        "diagnose with `--parameters` of the station's [model] brake",
+        file, found.inertia_kg_m2, found.ratio_m_rad, known.inertia_kg_m2, known.ratio_m_rad));
+  return model;
+}
+
 rt::SupervisorSettings supervisor_settings(const clampd::SupervisorSettings& configured) {
   const auto nanoseconds = [](double milliseconds) {
     return static_cast<std::int64_t>(milliseconds * static_cast<double>(kNanosecondsPerMillisecond));
@@ -124,6 +143,15 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
                                 : read_limits(configuration.limits_file);
   if (!limits) return tl::unexpected(limits.error());
   station.limits = std::move(*limits);
+
+  if (!configuration.check.model.empty()) {
+    Result<ExtendedParameters> model = read_check_model(configuration);
+    if (!model) return tl::unexpected(model.error());
+    station.model = std::move(*model);
+  }
+  if (const Result<void> usable = check_limits(station.limits, station.model.value_or(ExtendedParameters{}));
+      !usable)
+    return tl::unexpected(usable.error());
 
   Result<can::ProtocolCodec> codec = build_codec(configuration);
   if (!codec) return tl::unexpected(codec.error());

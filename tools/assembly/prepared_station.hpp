@@ -1,8 +1,10 @@
 #pragma once
 
+#include <optional>
 #include <string>
 
 #include "clampd/base/result.hpp"
+#include "clampd/brake/extended_brake.hpp"
 #include "clampd/record/reference.hpp"
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"
@@ -17,14 +19,15 @@ namespace clampd::assembly {
 struct PreparedStation {
   StationConfiguration configuration;
   LimitSet limits;
+  std::optional<ExtendedParameters> model;  ///< whose effects a check estimates too
   can::ProtocolCodec codec;
   rt::CheckPlan plan;  ///< with the configured number of repeats
   rt::SupervisorSettings supervisor;
   std::string trajectory_sha256;
 };
 
-/// Reads limits, DBC and trajectory, maps the signals and plans the check. Errors name the file and what is
-/// wrong in it.
+/// Reads limits, extended model, DBC and trajectory, maps the signals and plans the check. Errors name the
+/// file and what is wrong in it.
 Result<PreparedStation> prepare_station(const StationConfiguration& configuration);
 
 /// The configuration of `path`; empty: /etc/clampd/station.toml if it is there, else the defaults.

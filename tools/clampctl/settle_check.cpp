@@ -5,7 +5,9 @@
 
 #include <fmt/format.h>
 
+#include "clampd/archive/json.hpp"
 #include "clampd/diagnose/diagnosis.hpp"
+#include "clampd/station/cause.hpp"
 #include "clampd/station/session.hpp"
 #include "clampd/station/verdict.hpp"
 #include "tools/cli/exit_code.hpp"
@@ -16,17 +18,10 @@ namespace clampd::ctl {
 
 namespace {
 
-nlohmann::ordered_json cause_json(const Settlement& settlement) {
-  const Diagnosis& diagnosis = settlement.diagnosis;
-  if (diagnosis.verdict == DiagnosisVerdict::Adequate) return nullptr;
-  nlohmann::ordered_json cause;
-  const bool explained = diagnosis.verdict == DiagnosisVerdict::Explained && !diagnosis.effects.empty();
-  cause["effect"] =
-      explained ? nlohmann::ordered_json(diagnosis.effects.front().name) : nlohmann::ordered_json(nullptr);
-  cause["verdict"] = to_string(diagnosis.verdict);
-  cause["effects"] = nlohmann::ordered_json::array();
-  for (const NamedEffect& effect : diagnosis.effects) cause["effects"].push_back(effect.name);
-  cause["rivals"] = diagnosis.rivals;
+nlohmann::ordered_json settled_cause_json(const Settlement& settlement) {
+  const std::optional<CauseRecord> known = cause_of(settlement.diagnosis);
+  if (!known) return nullptr;
+  nlohmann::ordered_json cause = cause_json(*known);
   cause["experiments"] = nlohmann::ordered_json::array();
   for (const NextExperiment& experiment : settlement.experiments)
     cause["experiments"].push_back({{"manoeuvre", experiment.manoeuvre},
@@ -88,7 +83,8 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
   Result<Settlement> settlement = settle(*first, runs, drive, options);
   if (!settlement) {
     settled.text = announced + diagnosis_text(*first, {.runs = runs.size()}, cli::colours_wanted());
-    settled.cause = cause_json({.diagnosis = std::move(*first), .runs = {}, .experiments = {}, .words = {}});
+    settled.cause =
+        settled_cause_json({.diagnosis = std::move(*first), .runs = {}, .experiments = {}, .words = {}});
     settled.problem = settlement.error().message;
     if (!settled.exit_code) settled.exit_code = cli::kStation;
     return settled;
@@ -97,7 +93,7 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
                                             cli::colours_wanted());
   if (!settlement->experiments.empty() || settlement->diagnosis.verdict == DiagnosisVerdict::Ambiguous)
     settled.text += fmt::format("\nSettling: {}.\n", settlement->words);
-  settled.cause = cause_json(*settlement);
+  settled.cause = settled_cause_json(*settlement);
   return settled;
 }
 

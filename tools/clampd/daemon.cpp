@@ -46,6 +46,10 @@ void Daemon::serve(const std::atomic<bool>& quit) {
   // The loop's last act zeroes the torque and ends a check; its record is saved before the daemon goes.
   loop_.stop();
   pump();
+  while (conductor_.concluding()) {
+    std::this_thread::sleep_for(5ms);
+    pump();
+  }
 }
 
 void Daemon::pump() {

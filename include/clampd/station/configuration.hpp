@@ -73,6 +73,8 @@ struct CheckSettings {
   double phase_timeout_s = 5.0;
   double torque_limit_Nm = 3.0;
   Method method = Method::OutputError;
+  std::string model;         ///< extended model whose effects are estimated too; empty: the base model
+  bool diagnose = true;      ///< names the cause of runs that the model does not explain
   double deadline_s = 60.0;  ///< for the whole check; then TIMEOUT
 };
 

@@ -2,9 +2,12 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
+#include <span>
 #include <string>
 #include <vector>
 
+#include "clampd/diagnose/diagnosis.hpp"
 #include "clampd/record/brake_port.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/record/sample.hpp"
@@ -40,13 +43,16 @@ struct CheckContext {
 struct CheckOutcome {
   FaultCause fault = FaultCause::None;
   Verdict fault_verdict = Verdict::Error;  ///< by the supervisor's table
-  std::string fault_text;  ///< the supervisor's sentence; may be empty
+  std::string fault_text;                  ///< the supervisor's sentence; may be empty
   bool deadline_passed = false;
   TimingRecord timing;  ///< ticks, skips and lateness of this check; lost_samples: dropped by the ring
   PortHealth health;    ///< counts of this check alone, not since start
   std::int64_t stopped_utc_ns = 0;
   std::vector<Sample> flight_recorder;
 };
+
+/// How runs that the model does not explain get their cause: diagnose(), or another in tests.
+using Diagnoser = std::function<Result<Diagnosis>(std::span<const Run>, const DiagnoseOptions&)>;
 
 /// One check from its first sample to its record. consume() and finish() belong to one thread, progress() to
 /// any.
@@ -61,18 +67,22 @@ class CheckSession {
 
   /// `request` must be valid.
   CheckSession(const StationConfiguration& configuration, const LimitSet& limits, const CheckRequest& request,
-               const CheckContext& context, Estimator estimator, WorkerMode mode);
+               const CheckContext& context, Estimator estimator, WorkerMode mode,
+               Diagnoser diagnoser = diagnose);
 
   /// Every sample of the check, in the order of the ring.
   void consume(const Sample& sample);
 
-  /// The record with its verdict. Once only.
+  /// The record with its verdict. Once only. Takes some seconds more where the model does not explain the
+  /// runs, which are then diagnosed if the configuration says so.
   CheckRecord finish(CheckOutcome outcome);
 
   const std::string& id() const { return record_.id; }
   Progress progress() const;
 
  private:
+  void name_cause(CheckRecord& record) const;
+
   StationConfiguration configuration_;
   LimitSet limits_;
   std::int64_t started_utc_ns_;
@@ -80,6 +90,7 @@ class CheckSession {
   CheckRecord record_;
   RunCollector collector_;
   IdentificationWorker worker_;
+  Diagnoser diagnoser_;
   std::atomic<std::uint64_t> samples_{0};
   std::atomic<std::uint32_t> recorded_{0};
 };

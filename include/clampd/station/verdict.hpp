@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "clampd/brake/parameters.hpp"
+#include "clampd/identify/estimate.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"
@@ -23,11 +24,12 @@ struct CheckFacts {
   std::uint64_t ticks_skipped = 0;
   std::uint64_t samples_lost = 0;
   double tracking_rms_N = 0.0;
-  bool estimated = false;     ///< the joint fit converged to an identifiable estimate
-  std::string estimate_text;  ///< the estimator's own words
-  ParameterVector estimate;   ///< SI
-  ParameterVector sd;         ///< SI
-  double misfit_force = 0.0;  ///< residual rms over what the known noise explains
+  bool estimated = false;               ///< the joint fit converged to an identifiable estimate
+  std::string estimate_text;            ///< the estimator's own words
+  ParameterVector estimate;             ///< SI
+  ParameterVector sd;                   ///< SI
+  std::vector<EffectEstimate> effects;  ///< of an extended model, their sd with the tare's part
+  double misfit_force = 0.0;            ///< residual rms over what the known noise explains
   double misfit_velocity = 0.0;
 };
 
@@ -36,6 +38,7 @@ struct Judgement {
   bool marginal = false;
   std::string reason;                       ///< one sentence
   std::vector<ParameterRecord> parameters;  ///< empty where there is no estimate
+  bool unexplained = false;                 ///< an ERROR since the model does not explain the runs
 };
 
 /// One value against its interval by guard band (JCGM 106): inside of both limits by more than k sd passes,
@@ -43,12 +46,13 @@ struct Judgement {
 ParameterVerdict judge_parameter(double value, double sd, const LimitInterval& limits, double guard_band_k);
 
 /// The verdict. In this order:
-/// a fault: its own verdict (ABORTED for a stop, TIMEOUT for a phase, ERROR for the rest); the deadline: TIMEOUT;
-/// lost samples, skipped ticks above the limit, missing repeats, no estimate, a fit that does not explain the
-/// runs: ERROR; a parameter that fails: FAIL; a marginal one: decided by its value alone, with `marginal`
-/// set, unless its guard bands overlap, since then no value could pass: ERROR; a brake that passes but was
-/// not driven along the trajectory: ERROR. A brake that fails may have been tracked badly for that very
-/// reason: this stays a FAIL.
+/// a fault: its own verdict (ABORTED for a stop, TIMEOUT for a phase, ERROR for the rest); the deadline:
+/// TIMEOUT; lost samples, skipped ticks above the limit, missing repeats, no estimate, a fit that does not
+/// explain the runs: ERROR; a parameter that fails: FAIL; a marginal one: decided by its value alone, with
+/// `marginal` set, unless its guard bands overlap, since then no value could pass: ERROR; a brake that passes
+/// but was not driven along the trajectory: ERROR. A brake that fails may have been tracked badly for that
+/// very reason: this stays a FAIL. Parameters of effects are judged where there are limits for them; a limit
+/// where no value can lie beyond (no play is less than 0) leaves no doubt, and so needs no guard band.
 Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValiditySettings& validity);
 
 /// 0 pass, 1 fail, 3 error, 4 aborted, 5 timed out.

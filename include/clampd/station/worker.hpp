@@ -8,19 +8,29 @@
 #include <mutex>
 #include <span>
 #include <thread>
+#include <utility>
 #include <vector>
 
+#include "clampd/brake/extended_brake.hpp"
+#include "clampd/identify/extended_identification.hpp"
 #include "clampd/identify/method.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/station/run_collector.hpp"
 
 namespace clampd {
 
-/// How runs become parameters: identify() with a method, or another in tests.
+/// How runs become parameters: identify() with a method, identify_extended() with a model, or another in
+/// tests.
 using Estimator = std::function<Estimate(std::span<const Run>, const EstimatorOptions&)>;
 inline Estimator estimator_of(Method method) {
   return [method](std::span<const Run> runs, const EstimatorOptions& options) {
     return identify(method, runs, options);
+  };
+}
+/// By identify_extended().
+inline Estimator estimator_of(ExtendedParameters model) {
+  return [model = std::move(model)](std::span<const Run> runs, const EstimatorOptions& options) {
+    return identify_extended(runs, model, options);
   };
 }
 
@@ -34,8 +44,7 @@ class IdentificationWorker {
  public:
   /// `capacity`: runs that may wait at once, at least 1. With the number of repeats, submit() never has to
   /// refuse.
-  IdentificationWorker(Estimator estimator, EstimatorOptions options, std::size_t capacity,
-                       WorkerMode mode);
+  IdentificationWorker(Estimator estimator, EstimatorOptions options, std::size_t capacity, WorkerMode mode);
   ~IdentificationWorker();
   IdentificationWorker(const IdentificationWorker&) = delete;
   IdentificationWorker& operator=(const IdentificationWorker&) = delete;
@@ -45,8 +54,7 @@ class IdentificationWorker {
 
   struct Outcome {
     std::vector<RunRecord> runs;  ///< in the order of submission
-    Estimate
-        joint;  ///< over all runs; its start is the median of the runs' estimates, if there are any
+    Estimate joint;  ///< over all runs; its start is the median of the runs' estimates, if there are any
   };
   /// Waits for what was submitted, then fits all runs jointly. Once only; submit() is over then.
   Outcome finish();
