@@ -219,9 +219,8 @@ double SimulatedBrake::pad_force(double velocity_rad_s) const noexcept {
   double force_N = ((effects.stiffness_shape_N_rad4 * x + theta[k1]) * x + theta[k2]) * x * x;
   force_N *= 1.0 - 0.5 * effects.stiffness_hysteresis * (1.0 - state_.hysteresis);
   force_N -= effects.pad_relaxation * state_.relaxed_N;
-  if (effects.pad_damping_N_s_rad > 0.0)
-    force_N = std::max(0.0, force_N + effects.pad_damping_N_s_rad * velocity_rad_s);
-  return force_N;
+  if (effects.pad_damping_N_s_rad > 0.0) force_N += effects.pad_damping_N_s_rad * velocity_rad_s;
+  return std::max(0.0, force_N);  // pads do not pull
 }
 
 double SimulatedBrake::friction_level(double speed_rad_s, double force_N) const noexcept {

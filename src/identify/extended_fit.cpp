@@ -639,6 +639,7 @@ SignalScores score_signals(std::span<const FitRun> runs, const ExtendedEstimate&
     const Eigen::MatrixXd local_products = products.middleRows(p, l);
     const Eigen::MatrixXd solved = factor.solve(local_products);
     with_parameters += products.topRows(p) - linear.normal.block(0, p, p, l) * solved;
+    scores.alone += seen.rowwise().squaredNorm();
     scores.score -=
         products.row(p + l).transpose() - solved.transpose() * linear.normal.block(p, p + l, l, 1);
     if (blocks == 0) {

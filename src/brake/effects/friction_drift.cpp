@@ -16,15 +16,26 @@ class FrictionDrift final : public EquationsOf<FrictionDrift> {
         .excitation = "several runs",
         .parameters = {{.name = "per_run",
                         .unit = "1",
-                        .description = "relative change of TC and Tv from each run to the next",
-                        .lower = -0.06,
+                        .description = "relative change of TC and Tv from the first run to the next",
+                        .lower = -0.3,
                         .upper = 0.5,
-                        .scale = 0.005}}};
+                        .scale = 0.005},
+                       {.name = "runs",
+                        .unit = "runs",
+                        .description = "after which the change has settled to a third",
+                        .role = Role::Shape,
+                        .lower = 0.7,
+                        .upper = 1e4,
+                        .scale = 0.3,
+                        .logarithmic = true,
+                        .starts = {3, 15, 1000}}}};
     return kInfo;
   }
   template <class T>
   void friction(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
-    const T factor = 1.0 + own.parameters[0] * instant.run;
+    using std::exp;
+    const T& settling = own.parameters[1];
+    const T factor = 1.0 + own.parameters[0] * settling * (1.0 - exp(-instant.run / settling));
     instant.coulomb_Nm *= factor;
     instant.viscous_Nm_s_rad *= factor;
   }

@@ -43,7 +43,9 @@ class PadRelaxation final : public EquationsOf<PadRelaxation> {
   }
   template <class T>
   void force(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
+    if (!(instant.pad_position > 0.0)) return;
     instant.force_N -= own.parameters[0] * relaxed(instant, own);
+    if (instant.force_N < 0.0) instant.force_N = T(0.0);  // pads do not pull
   }
   template <class T>
   void remember(const effects_detail::Instant<T>& end, const effects_detail::Own<T>& own, T* states) const {

@@ -1,0 +1,175 @@
+#include "clampd/diagnose/diagnosis.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <gtest/gtest.h>
+
+#include "support/blind/blind_set.hpp"
+
+namespace clampd {
+namespace {
+
+struct Sealed {
+  blind::Answer answer;
+  std::vector<clampd::Run> runs;
+};
+
+Sealed sealed(const blind::Request& request) {
+  Result<blind::BlindSet> set = blind::make_set(request);
+  EXPECT_TRUE(set);
+  return {set->answer, std::move(set->runs)};
+}
+
+Diagnosis spoken(std::span<const clampd::Run> runs, DiagnoseOptions options = {}) {
+  Result<Diagnosis> diagnosis = diagnose(runs, options);
+  EXPECT_TRUE(diagnosis) << diagnosis.error().message;
+  return *diagnosis;
+}
+
+bool names(const Diagnosis& diagnosis, const std::string& effect) {
+  for (const auto& group : diagnosis.rivals)
+    if (group.size() <= 3 && std::find(group.begin(), group.end(), effect) != group.end()) return true;
+  return std::any_of(diagnosis.effects.begin(), diagnosis.effects.end(),
+                     [&](const NamedEffect& named) { return named.name == effect; });
+}
+
+/// One that is plainly there, in either generator: a fixed small sample of the bench's.
+struct Hidden {
+  const char* effect;
+  blind::Generator generator;
+  std::uint64_t seed;
+};
+class HiddenEffects : public ::testing::TestWithParam<Hidden> {};
+INSTANTIATE_TEST_SUITE_P(Sample, HiddenEffects,
+                         ::testing::Values(Hidden{"force-lag", blind::Generator::Independent, 509},
+                                           Hidden{"friction-drift", blind::Generator::Independent, 506},
+                                           Hidden{"backlash", blind::Generator::Independent, 507},
+                                           Hidden{"quadratic-drag", blind::Generator::Independent, 502},
+                                           Hidden{"torque-gain", blind::Generator::Station, 1014},
+                                           Hidden{"cogging", blind::Generator::Station, 1024},
+                                           Hidden{"outliers", blind::Generator::Independent, 1011},
+                                           Hidden{"pad-relaxation", blind::Generator::Station, 1038}),
+                         [](const auto& info) {
+                           std::string name = info.param.effect;
+                           std::replace(name.begin(), name.end(), '-', '_');
+                           return name;
+                         });
+
+TEST_P(HiddenEffects, AreNamedAndTheirRemovalLeavesNoise) {
+  blind::Request request;
+  request.effect = GetParam().effect;
+  request.generator = GetParam().generator;
+  request.seed = GetParam().seed;
+  const Sealed hidden = sealed(request);
+  const Diagnosis diagnosis = spoken(hidden.runs);
+  EXPECT_TRUE(diagnosis.verdict == DiagnosisVerdict::Explained ||
+              diagnosis.verdict == DiagnosisVerdict::Ambiguous)
+      << to_string(diagnosis.verdict);
+  EXPECT_TRUE(names(diagnosis, hidden.answer.effects.front().name)) << diagnosis.summary;
+  ASSERT_TRUE(diagnosis.gain);
+  EXPECT_LT(diagnosis.gain->after.misfit, 1.1);
+  EXPECT_GT(diagnosis.gain->after.log_likelihood_per_sample,
+            diagnosis.gain->before.log_likelihood_per_sample);
+  EXPECT_FALSE(diagnosis.model.effects.empty());
+}
+
+class FaultlessSets : public ::testing::TestWithParam<std::uint64_t> {};
+INSTANTIATE_TEST_SUITE_P(Sample, FaultlessSets, ::testing::Values(100, 101, 102));
+
+TEST_P(FaultlessSets, AreAdequate) {
+  blind::Request request;
+  request.kind = blind::Kind::None;
+  request.generator = GetParam() % 2 == 0 ? blind::Generator::Independent : blind::Generator::Station;
+  request.seed = GetParam();
+  const Sealed hidden = sealed(request);
+  const Diagnosis diagnosis = spoken(hidden.runs);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
+  EXPECT_TRUE(diagnosis.effects.empty());
+  const ParameterVector& truth = hidden.answer.brake.theta;
+  for (std::size_t i = 0; i < kParameterCount; ++i)
+    EXPECT_NEAR(diagnosis.parameters_after[i].value, truth[static_cast<Eigen::Index>(i)],
+                4.0 * diagnosis.parameters_after[i].sd)
+        << diagnosis.parameters_after[i].name;
+}
+
+TEST(Diagnosis, SaysThatSomethingIsWrongWhereNoCandidateIsTheCause) {
+  blind::Request request;
+  request.kind = blind::Kind::OffList;
+  request.effect = "sampling-jitter";
+  request.seed = 1003;
+  const Sealed hidden = sealed(request);
+  const Diagnosis diagnosis = spoken(hidden.runs);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Unexplained) << diagnosis.summary;
+  EXPECT_TRUE(diagnosis.misfit.location);
+}
+
+TEST(Diagnosis, IsTheSameWithAnyNumberOfThreads) {
+  blind::Request request;
+  request.effect = "force-lag";
+  request.seed = 509;
+  const Sealed hidden = sealed(request);
+  const std::span<const clampd::Run> few(hidden.runs.data(), 4);
+  DiagnoseOptions one, two;
+  one.threads = 1;
+  two.threads = 2;
+  const Diagnosis a = spoken(few, one);
+  const Diagnosis b = spoken(few, two);
+  EXPECT_EQ(a.summary, b.summary);
+  ASSERT_EQ(a.ladder.size(), b.ladder.size());
+  for (std::size_t i = 0; i < a.ladder.size(); ++i) {
+    EXPECT_EQ(a.ladder[i].name, b.ladder[i].name);
+    EXPECT_EQ(a.ladder[i].evidence, b.ladder[i].evidence);
+  }
+}
+
+TEST(Diagnosis, OneRunDoesItsBestAndSaysWhatItCannotShow) {
+  blind::Request request;
+  request.kind = blind::Kind::None;
+  request.seed = 103;
+  const Sealed hidden = sealed(request);
+  const Diagnosis diagnosis = spoken(std::span(hidden.runs.data(), 1));
+  EXPECT_FALSE(diagnosis.gain);
+  EXPECT_FALSE(diagnosis.notices.empty());
+  EXPECT_TRUE(std::any_of(diagnosis.unseen.begin(), diagnosis.unseen.end(),
+                          [](const UnseenEffect& unseen) { return unseen.name == "friction-drift"; }));
+}
+
+TEST(Diagnosis, HeldOutRunsJudgeAndAreNotFitted) {
+  blind::Request request;
+  request.effect = "force-lag";
+  request.seed = 509;
+  const Sealed hidden = sealed(request);
+  DiagnoseOptions options;
+  options.heldout = std::span(hidden.runs).subspan(6, 3);  // another manoeuvre
+  options.views = true;
+  const Diagnosis diagnosis = spoken(std::span(hidden.runs).first(6), options);
+  ASSERT_TRUE(diagnosis.gain);
+  ASSERT_EQ(diagnosis.gain->runs.size(), 3u);
+  EXPECT_EQ(diagnosis.gain->runs.front(), hidden.runs[6].name);
+  EXPECT_LT(diagnosis.gain->after.rms_force_N, diagnosis.gain->before.rms_force_N);
+  ASSERT_EQ(diagnosis.views.size(), 6u);
+  EXPECT_EQ(diagnosis.views[0].force.after.size(), hidden.runs[0].size());
+}
+
+TEST(Diagnosis, RefusesWhatItCannotUseInWords) {
+  EXPECT_FALSE(diagnose({}, {}));
+  blind::Request request;
+  request.kind = blind::Kind::None;
+  request.seed = 104;
+  Sealed hidden = sealed(request);
+  std::vector<clampd::Run> runs{hidden.runs[0]};
+  runs[0].force_N.clear();
+  auto refused = diagnose(runs, {});
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().message.find("force"), std::string::npos);
+  runs[0] = hidden.runs[0];
+  runs[0].velocity_rad_s[5] = std::numeric_limits<double>::quiet_NaN();
+  refused = diagnose(runs, {});
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().message.find(runs[0].name), std::string::npos);
+}
+
+}  // namespace
+}  // namespace clampd

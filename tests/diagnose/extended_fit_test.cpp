@@ -1,0 +1,96 @@
+#include "clampd/identify/extended_fit.hpp"
+
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "clampd/identify/prediction_error.hpp"
+#include "support/blind/blind_set.hpp"
+
+namespace clampd {
+namespace {
+
+std::vector<Run> runs_of(const char* effect, std::uint64_t seed, std::size_t count) {
+  blind::Request request;
+  request.kind = effect[0] == '\0' ? blind::Kind::None : blind::Kind::Single;
+  request.effect = effect;
+  request.seed = seed;
+  Result<blind::BlindSet> set = blind::make_set(request);
+  EXPECT_TRUE(set);
+  set->runs.resize(count);
+  return set->runs;
+}
+
+TEST(ExtendedFit, IsThePredictionErrorMethodWithoutEffects) {
+  const std::vector<clampd::Run> runs = runs_of("", 11, 6);
+  const ExtendedEstimate extended = fit_base(runs, BrakeParameters{});
+  ASSERT_TRUE(extended.possible && extended.settled);
+  const Estimate estimate = identify_prediction_error(runs, EstimatorOptions{});
+  ASSERT_TRUE(estimate.converged());
+  for (Eigen::Index i = 0; i < static_cast<Eigen::Index>(kParameterCount); ++i) {
+    const double sd = std::sqrt(extended.covariance(i, i));
+    EXPECT_NEAR(extended.parameters.base.theta[i], estimate.parameters.theta[i], 0.3 * sd) << i;
+    EXPECT_NEAR(sd / (std::abs(nominal_parameters()[i]) * std::sqrt(estimate.covariance_normalised(i, i))),
+                1.0, 0.1);
+  }
+  EXPECT_NEAR(extended.noise.sensors.force_N, estimate.noise_force_N, 0.02 * estimate.noise_force_N);
+  EXPECT_NEAR(extended.noise.torque_Nm, estimate.noise_torque_Nm, 0.15 * estimate.noise_torque_Nm);
+}
+
+TEST(ExtendedFit, InnovationsAreWhiteAndOfTheirOwnSizeWhereTheModelIsTrue) {
+  const std::vector<clampd::Run> runs = runs_of("", 12, 9);
+  const ExtendedEstimate estimate = fit_base(runs, BrakeParameters{});
+  ASSERT_TRUE(estimate.possible);
+  double square = 0.0, lagged = 0.0, count = 0.0;
+  for (const FilteredRun& run : filter_runs(fit_runs(runs), estimate))
+    for (std::size_t k = 1; k < run.force.size(); ++k) {
+      square += run.force[k] * run.force[k] + run.velocity[k] * run.velocity[k];
+      lagged += run.force[k] * run.force[k - 1] + run.velocity[k] * run.velocity[k - 1];
+      count += 2.0;
+    }
+  EXPECT_NEAR(square / count, 1.0, 4.0 * std::sqrt(2.0 / count));
+  EXPECT_NEAR(lagged / count, 0.0, 4.0 / std::sqrt(count));
+}
+
+TEST(ExtendedFit, AStepForecastsWhatTheFitBrings) {
+  const std::vector<clampd::Run> runs = runs_of("force-lag", 21, 9);
+  const ExtendedEstimate base = fit_base(runs, BrakeParameters{});
+  ASSERT_TRUE(base.possible);
+  const ExtendedEstimate start = with_effect(base, {find_effect("force-lag"), {0.0}});
+  const StepForecast seen = forecast(fit_runs(runs), start);
+  ExtendedEstimate stepped = start;
+  stepped.parameters.effects[0].values[0] = std::max(1e-6, seen.step[kParameterCount]);
+  const ExtendedEstimate fitted = fit_extended(fit_runs(runs), stepped);
+  ASSERT_TRUE(fitted.possible);
+  const double gain = fitted.log_likelihood - base.log_likelihood;
+  EXPECT_GT(gain, 10.0);
+  EXPECT_NEAR((seen.after_step - seen.log_likelihood) / gain, 1.0, 0.3);
+}
+
+TEST(ExtendedFit, ASignalIsFoundWhereItIsAndAsLargeAsItIs) {
+  std::vector<clampd::Run> runs = runs_of("", 13, 9);
+  for (clampd::Run& run : runs)
+    for (double& force : run.force_N) force += 25.0;
+  const ExtendedEstimate estimate = fit_base(runs, BrakeParameters{});
+  ASSERT_TRUE(estimate.possible);
+  SignalColumns signals{SignalColumns::Kind::ForceReading, {}};
+  for (const clampd::Run& run : runs)
+    signals.rows.push_back(Eigen::MatrixXd::Ones(static_cast<Eigen::Index>(run.size()), 1));
+  const SignalScores scores = score_signals(fit_runs(runs), estimate, signals);
+  const double offset = scores.score[0] / scores.information(0, 0);
+  EXPECT_NEAR(offset, 25.0, 4.0 / std::sqrt(scores.information(0, 0)) + 3.0);
+  EXPECT_LT(scores.information(0, 0), scores.alone[0]);
+}
+
+TEST(ExtendedFit, LateChannelsAreMovedBackAndWhatIsMissingDoesNotCount) {
+  std::vector<FitRun> runs{{0.0, {0.0, 1e-3, 2e-3}, {1, 2, 3}, {4, 5, 6}, {7, 8, 9}, {1, 1, 1}, {1, 1, 1}}};
+  move_by({.force = 1}, runs);
+  EXPECT_EQ(runs[0].force_N, (std::vector<double>{5, 6, 6}));
+  EXPECT_EQ(runs[0].use_force, (std::vector<std::uint8_t>{1, 1, 0}));
+  EXPECT_EQ(runs[0].velocity_rad_s, (std::vector<double>{7, 8, 9}));
+  move_by({.force = 9}, runs);  // later than the run is long
+  EXPECT_EQ(runs[0].use_force, (std::vector<std::uint8_t>{0, 0, 0}));
+}
+
+}  // namespace
+}  // namespace clampd
