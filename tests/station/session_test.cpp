@@ -224,6 +224,9 @@ TEST_P(Session, AnEffectIsJudgedWithTheTaresUncertainty) {
   EXPECT_EQ(failed.parameters[7].name, "backlash.play");
   EXPECT_DOUBLE_EQ(failed.parameters[7].sd, 0.01);
   EXPECT_EQ(check(samples, with_play(0.1, 0.0)).verdict, Verdict::Pass);
+  for (std::size_t i = 0; i < samples.size(); ++i)
+    if (samples[i].phase == CheckPhase::Tare) samples[i].force_N += i % 2 == 0 ? 1.0 : -1.0;
+  EXPECT_DOUBLE_EQ(check(samples, with_play(0.1, 0.0)).parameters[7].sd, 0.01);
   EXPECT_GT(check(samples, with_play(0.1, 1.0)).parameters[7].sd, 0.02);
 }
 

@@ -2,8 +2,11 @@
 
 #include <sys/wait.h>
 
+#include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
+#include <iterator>
 #include <string>
 
 #include <gmock/gmock.h>
@@ -123,6 +126,68 @@ TEST_F(CommandLine, SimulatesAndIdentifies) {
   EXPECT_LT(document.at("noise").at("torque_Nm"), 0.02);
 }
 
+TEST_F(CommandLine, IdentifiesWithTheModelThatADiagnosisSaved) {
+  ASSERT_EQ(clampctl("simulate --manoeuvre optimal --effect force-lag=0.004 --seed 5 --repeats 4 --out runs")
+                .exit_code,
+            0);
+  const std::string files =
+      "runs/optimal-001.csv runs/optimal-002.csv runs/optimal-003.csv runs/optimal-004.csv";
+  const Outcome diagnosed = clampctl("diagnose " + files + " --save model.toml");
+  ASSERT_EQ(diagnosed.exit_code, 0) << diagnosed.output;
+  const Outcome identified = clampctl("identify " + files + " --model model.toml --json fit.json");
+  ASSERT_EQ(identified.exit_code, 0) << identified.output;
+  EXPECT_THAT(identified.output, AllOf(HasSubstr("Prediction error method"),
+                                       HasSubstr("force-lag.time_constant"), HasSubstr("one-step")));
+  const auto document = nlohmann::json::parse(read("fit.json"));
+  EXPECT_EQ(document.at("method"), "pem");
+  EXPECT_TRUE(document.at("converged"));
+  ASSERT_EQ(document.at("parameters").size(), 7U);
+  for (const auto& parameter : document.at("parameters")) {
+    const double error = parameter.at("normalised").get<double>() - 1.0;
+    EXPECT_LT(std::abs(error), 4.0 * parameter.at("normalised_sd").get<double>()) << parameter;
+  }
+  ASSERT_EQ(document.at("effects").size(), 1U);
+  EXPECT_EQ(document.at("effects")[0].at("name"), "force-lag");
+  const auto& lag = document.at("effects")[0].at("parameters")[0];
+  EXPECT_EQ(lag.at("name"), "time_constant");
+  EXPECT_EQ(lag.at("unit"), "s");
+  EXPECT_NEAR(lag.at("value"), 0.004, 4.0 * lag.at("sd").get<double>());
+  // The base model's document is as it was.
+  ASSERT_EQ(clampctl("identify runs/optimal-001.csv --json base.json").exit_code, 0);
+  EXPECT_FALSE(nlohmann::json::parse(read("base.json")).contains("effects"));
+}
+
+TEST_F(CommandLine, ChecksByAnExtendedModelAndNamesCauses) {
+  write("limits.toml", [] {
+    std::ifstream shipped(CLAMPD_SOURCE_DIR "/configs/limits.toml");
+    return std::string(std::istreambuf_iterator<char>(shipped), {}) +
+           "[effects.backlash]\nplay = {lower = 0.0, upper = 0.3}\n";
+  }());
+  write("model.toml", "[[effect]]\nname = \"backlash\"\nplay = 0.2\n");
+  write("station.toml", "[check]\nmodel = \"model.toml\"\n[limits]\nfile = \"limits.toml\"\n");
+  write("loose.toml", "[effects]\nbacklash = 0.5\n");
+  const Outcome loose = clampctl(
+      "run --config station.toml --serial LOOSE --repeats 8 --simulated-brake loose.toml --json check.json");
+  EXPECT_EQ(loose.exit_code, 1) << loose.output;
+  EXPECT_THAT(loose.output, HasSubstr("backlash.play is"));
+  auto document = nlohmann::json::parse(read("check.json"));
+  EXPECT_EQ(document.at("parameters").back().at("name"), "backlash.play");
+  EXPECT_EQ(document.at("parameters").back().at("verdict"), "fail");
+  EXPECT_TRUE(document.at("cause").is_null());
+
+  write("late.toml", "[effects]\nforce-lag = 0.012\n");
+  const Outcome late =
+      clampctl("run --serial LATE --repeats 4 --simulated-brake late.toml --json check.json");
+  EXPECT_EQ(late.exit_code, 3) << late.output;
+  document = nlohmann::json::parse(read("check.json"));
+  EXPECT_EQ(document.at("cause").at("effect"), "force-lag");
+  EXPECT_EQ(document.at("cause").at("location"), "force-reading");
+  EXPECT_THAT(document.at("reason").get<std::string>(), HasSubstr("comes 12 ms late"));
+  // Kept with the result.
+  const Outcome shown = clampctl("results last --json");
+  EXPECT_EQ(nlohmann::json::parse(shown.output).at("cause"), document.at("cause"));
+}
+
 TEST_F(CommandLine, IdentifiesByPredictionErrorsWithParametersHeld) {
   ASSERT_EQ(clampctl("simulate --manoeuvre optimal --seed 5 --out runs").exit_code, 0);
   const Outcome identified = clampctl(
@@ -188,6 +253,8 @@ class BadInputs : public CommandLine, public ::testing::WithParamInterface<BadIn
     write("interface.toml", "[can]\ninterface = \"can77\"\n");
     write("trajectory.toml", "[check]\ntrajectory = \"word.csv\"\n");
     write("plant.toml", "[parameters]\nk2 = \"soft\"\n");
+    write("effect.toml", "[[effect]]\nname = \"magic\"\n");
+    write("model.toml", "[check]\nmodel = \"effect.toml\"\n");
     write("occupied", "a file where a folder is wanted\n");
   }
 };
@@ -230,6 +297,15 @@ INSTANTIATE_TEST_SUITE_P(
         BadInput{"IdentifyBackwards", "identify backwards.csv --json out.json", "backwards.csv:4"},
         BadInput{"IdentifyMethod", "identify word.csv --method magic --json out.json", "magic"},
         BadInput{"IdentifyParameters", "identify word.csv --parameters plant.toml --json out.json", ""},
+        BadInput{"IdentifyNoModel", "identify word.csv --model nowhere.toml --json out.json", "nowhere.toml"},
+        BadInput{"IdentifyBadModel", "identify word.csv --model effect.toml --json out.json",
+                 "effect.toml:1"},
+        BadInput{"IdentifyModelByOem", "identify word.csv --model effect.toml --method oem --json out.json",
+                 "--model and --method oem exclude each other"},
+        BadInput{"IdentifyModelAndParameters",
+                 "identify word.csv --model effect.toml --parameters plant.toml --json out.json",
+                 "--parameters"},
+        BadInput{"RunBadModel", "run --serial A --config model.toml --json out.json", "effect.toml:1"},
         BadInput{"DesignNegative", "design --duration -1 --json out.json", "duration"},
         BadInput{"DesignObjective", "design --objective beautiful --json out.json", "beautiful"},
         BadInput{"SimulateNoManoeuvre", "simulate --out out", "--manoeuvre"},

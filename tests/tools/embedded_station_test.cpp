@@ -1,11 +1,16 @@
 // Whole checks of the simulated brake in virtual time, against its truth.
 
 #include <cmath>
+#include <optional>
 #include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "clampd/archive/json.hpp"
+#include "clampd/base/clock.hpp"
+#include "support/temporary_directory.hpp"
+#include "tools/assembly/check_conductor.hpp"
 #include "tools/embedded_check.hpp"
 
 namespace clampd::assembly {
@@ -63,9 +68,125 @@ INSTANTIATE_TEST_SUITE_P(
 TEST(EmbeddedStation, ABrakeThatItsModelDoesNotExplainIsNoFail) {
   sim::PlantConfiguration brake = plant(1);
   ASSERT_TRUE(sim::set_effect(brake.effects, "force-lag", 0.01));
-  const CheckRecord record = check(brake, 10);
+  const CheckRecord record = check(brake, 4);
   EXPECT_EQ(record.verdict, Verdict::Error);
   EXPECT_THAT(record.reason, HasSubstr("explain"));
+  // And its cause is named.
+  ASSERT_TRUE(record.cause);
+  EXPECT_EQ(record.cause->verdict, "explained");
+  EXPECT_THAT(record.cause->effects, ::testing::ElementsAre("force-lag"));
+  EXPECT_EQ(record.cause->location, "force-reading");
+  EXPECT_THAT(record.reason, HasSubstr("comes 10 ms late"));
+  EXPECT_EQ(check_json(record).at("cause").at("effect"), "force-lag");
+}
+
+TEST(CheckConductor, ConcludesBesideItsCalls) {
+  sim::PlantConfiguration configured = plant(1);
+  ASSERT_TRUE(sim::set_effect(configured.effects, "force-lag", 0.012));
+  const PreparedStation station = prepared();
+  can::EmbeddedBus bus(static_cast<double>(station.configuration.can.bitrate));
+  can::CanBrake port(bus.end(can::EmbeddedBus::End::Station), station.codec);
+  plant::Plant brake(bus.end(can::EmbeddedBus::End::Brake), station.codec, configured, nullptr);
+  rt::ControlCore core(port, station.supervisor);
+  CheckConductor conductor(station, core, nullptr, WorkerMode::Background);
+  std::int64_t now_ns = 0;
+  const auto advance = [&] {
+    brake.tick(now_ns, 0, 0);
+    core.tick(now_ns + kPeriod_ns / 2, 0, 0);
+    now_ns += kPeriod_ns;
+  };
+  while (core.status().state.load() == StationState::Init) advance();
+  const auto begun = conductor.begin(request(4), {now_ns, now_ns});
+  ASSERT_TRUE(begun) << begun.error().message;
+  while (!conductor.concluding()) {
+    advance();
+    ASSERT_FALSE(conductor.pump({now_ns, now_ns}));
+  }
+  // The runs are being diagnosed, which takes far longer than this.
+  EXPECT_TRUE(conductor.busy());
+  EXPECT_EQ(conductor.progress().recorded, 4u);
+  EXPECT_FALSE(conductor.begin(request(4), {now_ns, now_ns}));
+  std::optional<CheckRecord> record;
+  while (!record) {
+    advance();
+    record = conductor.pump({now_ns, now_ns});
+  }
+  EXPECT_FALSE(conductor.busy());
+  EXPECT_FALSE(conductor.concluding());
+  EXPECT_EQ(record->verdict, Verdict::Error);
+  EXPECT_EQ(record->runs.size(), 4u);
+  EXPECT_TRUE(record->cause) << record->reason;
+  EXPECT_TRUE(conductor.begin(request(4), {now_ns, now_ns})) << "ready for the next";
+  core.requests().stop.store(true);
+  while (!conductor.concluding()) {
+    advance();
+    conductor.pump({now_ns, now_ns});
+  }
+}
+
+constexpr const char* kBacklashModel = "[[effect]]\nname = \"backlash\"\nplay = 0.2\n";
+
+class ExtendedCheck : public ::testing::Test {
+ protected:
+  Result<PreparedStation> prepare() {
+    StationConfiguration configuration;
+    configuration.check.model = folder_.path("extended.toml");
+    configuration.limits_file = folder_.path("limits.toml");
+    return prepare_station(configuration);
+  }
+  void write_limits(const std::string& further) {
+    folder_.write("limits.toml", std::string(kBuiltinLimits) + further);
+  }
+  CheckRecord check_play(double play_rad) {
+    sim::PlantConfiguration brake = plant(3);
+    EXPECT_TRUE(sim::set_effect(brake.effects, "backlash", play_rad));
+    Result<PreparedStation> station = prepare();
+    EXPECT_TRUE(station) << station.error().message;
+    const Result<CheckRecord> record =
+        EmbeddedStation(std::move(*station), brake).run_check(request(8), nullptr, nullptr);
+    EXPECT_TRUE(record);
+    return *record;
+  }
+  support::TemporaryDirectory folder_;
+};
+
+TEST_F(ExtendedCheck, FailsABrakeForItsBacklashAndForNothingElse) {
+  folder_.write("extended.toml", kBacklashModel);
+  write_limits("[effects.backlash]\nplay = {lower = 0.0, upper = 0.3}\n");
+  for (const double play_rad : {0.0, 0.15, 0.5}) {
+    const CheckRecord record = check_play(play_rad);
+    EXPECT_EQ(record.verdict, play_rad < 0.3 ? Verdict::Pass : Verdict::Fail) << record.reason;
+    EXPECT_FALSE(record.marginal);
+    EXPECT_EQ(record.method, "pem");
+    ASSERT_EQ(record.parameters.size(), 8U);
+    for (std::size_t i = 0; i < 7; ++i)
+      EXPECT_EQ(record.parameters[i].verdict, ParameterVerdict::Pass) << record.parameters[i].name;
+    const ParameterRecord& play = record.parameters[7];
+    EXPECT_EQ(play.name, "backlash.play");
+    EXPECT_EQ(play.unit, "rad");
+    EXPECT_NEAR(play.value, play_rad, 4.0 * play.sd);
+    EXPECT_LT(play.sd, 0.03);
+    if (play_rad > 0.3) {
+      EXPECT_THAT(record.reason,
+                  ::testing::MatchesRegex("backlash\\.play is 0\\.[45].* rad, above its upper limit "
+                                          "0\\.3 rad\\."));
+    }
+  }
+}
+
+TEST_F(ExtendedCheck, IsPreparedOnlyFromAModelThatFitsTheLimits) {
+  write_limits("");
+  EXPECT_THAT(prepare().error().message, HasSubstr("extended.toml"));
+  folder_.write("extended.toml", "[[effect]]\nname = \"backlsh\"\nplay = 0.2\n");
+  EXPECT_THAT(prepare().error().message, HasSubstr("extended.toml:1: there is no effect"));
+  folder_.write("extended.toml", "[parameters]\n");
+  EXPECT_THAT(prepare().error().message, HasSubstr("has no [[effect]]"));
+  folder_.write("extended.toml", std::string("[fixed]\ninertia_kg_m2 = 3e-4\n") + kBacklashModel);
+  EXPECT_THAT(prepare().error().message, HasSubstr("J = 0.0003"));
+  folder_.write("extended.toml", kBacklashModel);
+  EXPECT_TRUE(prepare());
+  write_limits("[effects.force-lag]\ntime_constant = {lower = 0.0, upper = 1e-3}\n");
+  EXPECT_THAT(prepare().error().message, HasSubstr("[effects.force-lag] has limits"));
 }
 
 TEST(EmbeddedStation, RefusesARequestBeforeAnythingMoves) {

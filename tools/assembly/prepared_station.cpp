@@ -148,6 +148,7 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
     Result<ExtendedParameters> model = read_check_model(configuration);
     if (!model) return tl::unexpected(model.error());
     station.model = std::move(*model);
+    station.configuration.check.method = Method::PredictionError;
   }
   if (const Result<void> usable = check_limits(station.limits, station.model.value_or(ExtendedParameters{}));
       !usable)
