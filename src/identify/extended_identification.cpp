@@ -11,6 +11,7 @@
 #include <Eigen/Eigenvalues>
 #include <boost/math/distributions/chi_squared.hpp>
 
+#include "clampd/base/assert.hpp"
 #include "clampd/identify/extended_fit.hpp"
 #include "clampd/identify/parameter_scores.hpp"
 #include "clampd/identify/prediction_error.hpp"
@@ -105,6 +106,7 @@ class Extension {
     for (std::size_t e = 0; e < order_.size(); ++e) order_[e] = e;
     model_.base.fixed = options.start.fixed;
     for (const EffectValues& effect : model_.effects) {
+      CLAMPD_ASSERT(effect.values.size() == info_of(*effect.effect).parameters.size());
       move_by(delays_of(effect), runs_);
       has_spikes_ = has_spikes_ || info_of(*effect.effect).name == "outliers";
     }

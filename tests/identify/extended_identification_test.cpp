@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <ranges>
 #include <span>
 #include <string>
 #include <vector>
@@ -41,7 +42,11 @@ Runs optimal_runs(std::string_view effect, double value, std::uint16_t repeats, 
   return *runs;
 }
 
+/// The effect's first parameters as given, the others at their first start.
 ExtendedParameters model_with(std::string_view name, std::vector<double> values) {
+  for (const EffectParameter& parameter :
+       info_of(*find_effect(name)).parameters | std::views::drop(values.size()))
+    values.push_back(parameter.starts.empty() ? parameter.neutral : parameter.starts.front());
   return {BrakeParameters{}, {{find_effect(name), std::move(values)}}};
 }
 
