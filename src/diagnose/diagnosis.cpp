@@ -29,6 +29,9 @@ constexpr double kUnexplainedShare = 0.08;
 /// An effect whose strength these runs know no better than this, over the change that matters, was not seen.
 constexpr double kBlind = 0.5;
 constexpr std::size_t kMostRivals = 3;
+/// Dependences worth telling: no fainter than this share of the strongest, and no more than these.
+constexpr double kFaint = 0.3;
+constexpr std::size_t kMostDependences = 8;
 constexpr std::size_t kFewestRows = 30;
 
 Result<void> check(std::span<const Run> runs) {
@@ -225,8 +228,13 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
     return !residuals.dependences.empty() && residuals.dependences.front().p_value < kFalseResidual;
   };
   const Residuals& told = much_left && tells(after) ? after : before;
+  // What is wrong in one place shows faintly in all others: the strongest say where.
+  double strongest = 0.0;
+  for (const Dependence& dependence : told.dependences) strongest = std::max(strongest, dependence.gain);
   for (const Dependence& dependence : told.dependences)
-    if (dependence.p_value < kFalseResidual) diagnosis.misfit.dependences.push_back(dependence);
+    if (dependence.p_value < kFalseResidual && dependence.gain > kFaint * strongest &&
+        diagnosis.misfit.dependences.size() < kMostDependences)
+      diagnosis.misfit.dependences.push_back(dependence);
   if (diagnosis.verdict != DiagnosisVerdict::Adequate) {
     if (!much_left)
       diagnosis.misfit.location = diagnosis.effects.front().location;

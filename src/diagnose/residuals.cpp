@@ -22,9 +22,9 @@ constexpr double kDistinct = 0.3;
 /// Steps from so many standard deviations of the noise on are coarser than it; what they do is then no noise.
 constexpr double kCoarse = 1.0;
 /// Shapes of which less than this share is left when the parameters follow are not told from them.
-constexpr double kTold = 1e-6;
+constexpr double kTold = 1e-2;
 /// The same of directions among shapes.
-constexpr double kToldApart = 1e-4;
+constexpr double kToldApart = 1e-3;
 
 /// Sum over lags of n rho^2 of two series of innovations, runs put together; chi-square with so many degrees.
 struct Correlation {

@@ -150,6 +150,7 @@ std::string variable(std::string_view name) {
   if (name == "direction") return "the direction of motion";
   if (name == "run") return "the run: it changes from run to run";
   if (name == "torque") return "the torque";
+  if (name == "rate") return "how quickly the readings change";
   return std::string(name);
 }
 
