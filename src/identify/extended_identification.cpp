@@ -319,9 +319,10 @@ class Precision {
       } else {
         const EffectParameter& info = info_at(model_, place);
         constexpr double kInfinity = std::numeric_limits<double>::infinity();
+        // A strength at a bound is as known as any: a whole sample late, a lag that is not there.
         const bool strength = info.role == Role::Strength;
-        lower = strength && info.neutral == info.lower ? -kInfinity : info.lower;
-        upper = strength && info.neutral == info.upper ? kInfinity : info.upper;
+        lower = strength ? -kInfinity : info.lower;
+        upper = strength ? kInfinity : info.upper;
         margin = std::max(margin, 1e-6 * (info.upper - info.lower));
         vagueness = sd / (info.upper - info.lower);
       }
