@@ -23,7 +23,7 @@ class PadRelaxation final : public EquationsOf<PadRelaxation> {
                                                   .unit = "s",
                                                   .description = "of the relaxation",
                                                   .role = Role::Shape,
-                                                  .lower = 0.004,
+                                                  .lower = 0.01,
                                                   .upper = 5,
                                                   .scale = 0.2,
                                                   .logarithmic = true,
