@@ -22,7 +22,11 @@ constexpr double kStuck = 0.85;
 /// From here on (N m) the torque noise of a hypothesis is so large that it may have swallowed the effect.
 constexpr double kSuspiciousTorque_Nm = 0.02;
 constexpr double kModestTorque_Nm = 0.008;
+/// A hypothesis that a step by itself would improve by so much got stuck, and a search from there may too.
+constexpr double kStuck_nats = 30.0;
 constexpr int kMostFits = 4;
+/// The same of further choices, one after the other, that bring nothing more.
+constexpr int kMostMisses = 2;
 /// Enough to see whether a candidate is among the best; those are then fitted to the end.
 constexpr int kRoughIterations = 14;
 
@@ -213,7 +217,12 @@ Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<
   return candidate;
 }
 
-void fit(Candidate& candidate, const Hypothesis& hypothesis) {
+bool is_stuck(const Hypothesis& hypothesis) {
+  const StepForecast step = forecast(hypothesis.runs, hypothesis.estimate);
+  return step.after_step - step.log_likelihood > kStuck_nats;
+}
+
+void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   candidate.is_fitted = true;
   const double noise = hypothesis.estimate.noise.torque_Nm;
   Hypothesis best;
@@ -233,15 +242,30 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis) {
     if (fits > 0 && !other_shape && gain() > kStuck * candidate.predicted_gain) break;
     attempt(start, noise);
   }
+  if (also_afresh && !candidate.starts.empty()) {
+    Hypothesis afresh = hypothesis;
+    afresh.estimate.parameters.base.theta = nominal_parameters();
+    keep_if_better(
+        fitted_from(candidate.starts.front(), afresh, kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
+        best);
+  }
   const auto& parameters = info_of(*candidate.effect).parameters;
   for (std::size_t i = 0; i < parameters.size() && best.possible(); ++i) {
     if (parameters[i].role != Role::Refinement) continue;
+    int misses = 0;
     for (std::size_t other = 1; other < parameters[i].starts.size(); ++other) {
       const double reached = gain();
       EffectValues values = best.estimate.parameters.effects.back();
       values.values[i] = parameters[i].starts[other];
+      for (std::size_t j = 0; j < parameters.size(); ++j) {
+        // From a bound a search hardly gets away.
+        const double width = parameters[j].upper - parameters[j].lower;
+        if (parameters[j].role == Role::Strength && values.values[j] > parameters[j].upper - 0.05 * width)
+          values.values[j] = parameters[j].lower + 0.5 * width;
+      }
       attempt({values, 0.0}, best.estimate.noise.torque_Nm);
-      if (!(gain() > reached)) break;
+      misses = gain() > reached ? 0 : misses + 1;
+      if (misses == kMostMisses) break;
     }
   }
   candidate.gain = std::max(0.0, gain());

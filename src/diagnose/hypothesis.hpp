@@ -51,7 +51,11 @@ struct Candidate {
 Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<const Run> recorded);
 
 /// Fits it roughly; several starts where the first does not bring what it promised.
-void fit(Candidate& candidate, const Hypothesis& hypothesis);
+/// `also_afresh`: from the nominal brake as well.
+void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh);
+
+/// Whether its own parameters have not found their best, as where an effect leads them far away.
+bool is_stuck(const Hypothesis& hypothesis);
 
 /// Fits to the end what fit() began.
 void finish(Candidate& candidate, const Hypothesis& hypothesis);

@@ -14,7 +14,6 @@ namespace {
 constexpr double kSpike = 5.5;
 constexpr std::size_t kNearby = 10;
 constexpr int kMostRounds = 8;
-constexpr std::size_t kFewest = 2;
 /// Spikes stand alone; where more than this share has a neighbour, something else is wrong.
 constexpr double kMostNeighbours = 0.3;
 constexpr double kLargestShare = 0.2;
@@ -42,7 +41,7 @@ class SpikeSearch {
       found_.estimate = fit_extended(found_.runs, found_.estimate);
       if (!found_.possible()) return false;
     }
-    if (spikes_.size() < kFewest) return false;
+    if (spikes_.empty()) return false;
     std::size_t with_neighbour = 0;
     for (const Spike& spike : spikes_)
       with_neighbour += std::any_of(spikes_.begin(), spikes_.end(), [&](const Spike& other) {

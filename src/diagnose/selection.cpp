@@ -94,8 +94,9 @@ class Selector {
       if (!candidates[i].is_fitted &&
           candidates[i].predicted_evidence > std::max(alarm_ - kBelowAlarm, kPromising * best))
         worth.push_back(i);
+    const bool stuck = !worth.empty() && is_stuck(hypothesis);
     for_each_index(worth.size(), options_.threads,
-                   [&](std::size_t i) { fit(candidates[worth[i]], hypothesis); });
+                   [&](std::size_t i) { fit(candidates[worth[i]], hypothesis, stuck); });
     double reached = 0.0;
     for (const Candidate& candidate : candidates)
       if (candidate.is_fitted) reached = std::max(reached, candidate.gain);

@@ -34,7 +34,9 @@ EffectValues visible(const Effect& effect) {
     if (parameter.role == EffectParameter::Role::Strength)
       values.values.push_back(parameter.neutral + 2.0 * parameter.scale);
     else if (!parameter.starts.empty())
-      values.values.push_back(parameter.starts.front());
+      values.values.push_back(parameter.role == EffectParameter::Role::Shape
+                                  ? parameter.starts[parameter.starts.size() / 2]
+                                  : parameter.starts.front());
     else
       values.values.push_back(std::min(8000.0, 0.5 * parameter.upper));
   }
