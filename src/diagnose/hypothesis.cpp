@@ -24,6 +24,8 @@ constexpr double kSuspiciousTorque_Nm = 0.02;
 constexpr double kModestTorque_Nm = 0.008;
 /// A hypothesis that a step by itself would improve by so much got stuck, and a search from there may too.
 constexpr double kStuck_nats = 30.0;
+/// No drive's torque is as noisy as this.
+constexpr double kImpossibleTorque_Nm = 0.05;
 constexpr int kMostFits = 4;
 /// The same of further choices, one after the other, that bring nothing more.
 constexpr int kMostMisses = 2;
@@ -219,7 +221,8 @@ Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<
 
 bool is_stuck(const Hypothesis& hypothesis) {
   const StepForecast step = forecast(hypothesis.runs, hypothesis.estimate);
-  return step.after_step - step.log_likelihood > kStuck_nats;
+  return step.after_step - step.log_likelihood > kStuck_nats ||
+         hypothesis.estimate.noise.torque_Nm > kImpossibleTorque_Nm;
 }
 
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
@@ -242,13 +245,14 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
     if (fits > 0 && !other_shape && gain() > kStuck * candidate.predicted_gain) break;
     attempt(start, noise);
   }
-  if (also_afresh && !candidate.starts.empty()) {
+  const auto attempt_afresh = [&](const EffectValues& values) {
+    if (!also_afresh) return;
     Hypothesis afresh = hypothesis;
     afresh.estimate.parameters.base.theta = nominal_parameters();
-    keep_if_better(
-        fitted_from(candidate.starts.front(), afresh, kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
-        best);
-  }
+    keep_if_better(fitted_from({values, 0.0}, afresh, kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
+                   best);
+  };
+  if (!candidate.starts.empty()) attempt_afresh(candidate.starts.front().values);
   const auto& parameters = info_of(*candidate.effect).parameters;
   for (std::size_t i = 0; i < parameters.size() && best.possible(); ++i) {
     if (parameters[i].role != Role::Refinement) continue;
@@ -264,6 +268,7 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
           values.values[j] = parameters[j].lower + 0.5 * width;
       }
       attempt({values, 0.0}, best.estimate.noise.torque_Nm);
+      attempt_afresh(values);
       misses = gain() > reached ? 0 : misses + 1;
       if (misses == kMostMisses) break;
     }
