@@ -39,6 +39,8 @@ constexpr double kScanStep = 0.12;
 constexpr std::size_t kPeaks = 3;
 constexpr Eigen::Index kScanTogether = 64;  // orders that fit the cache
 
+constexpr double kSpikeDegrees = 2.0;
+
 std::vector<std::vector<double>> combinations(const Effect& effect, std::span<const Run> recorded) {
   const auto& parameters = info_of(effect).parameters;
   std::vector<std::vector<double>> list{{}};
@@ -71,7 +73,8 @@ double degrees_of(const Effect& effect, std::size_t runs) {
       info.free_states_count ? static_cast<double>(info.free_states) * static_cast<double>(runs) : 0.0;
   for (const EffectParameter& parameter : info.parameters)
     if (is_estimated(parameter)) degrees += 1.0;
-  return degrees;
+  // Spikes have no equations; their share and size are what is estimated.
+  return degrees > 0.0 ? degrees : kSpikeDegrees;
 }
 
 /// The effect at the end of the step that the forecast proposes, within its bounds; what it promises is void

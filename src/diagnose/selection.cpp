@@ -153,6 +153,7 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
   Selection selection{base, base, {}, {}};
   double share = 0.15;
   std::vector<Hypothesis> before;  // each effect was added
+  double formed = 0.0;             // gained by effects that could have another form; spikes cannot
   for (int stage = 0; stage < options.most_effects; ++stage) {
     const double next = share + 0.5 * (0.95 - share);
     selection.stages.push_back(selector.judge(
@@ -162,8 +163,8 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
     const std::vector<Candidate>& candidates = selection.stages.back();
     if (candidates.empty() || !selector.is_alarm(candidates.front())) break;
     const Candidate& best = candidates.front();
-    const double so_far = selection.chosen.log_likelihood() - base.log_likelihood();
-    if (best.gain < kMaterial * so_far) break;
+    if (best.gain < kMaterial * formed) break;
+    if (best.name() != "outliers") formed += best.gain;
     selection.effects.push_back({std::string(best.name()), best.gain, best.evidence,
                                  rivals_among(candidates, best.name(), best.evidence, selector.alarm())});
     before.push_back(selection.chosen);
