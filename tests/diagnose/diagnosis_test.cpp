@@ -51,8 +51,8 @@ INSTANTIATE_TEST_SUITE_P(Sample, HiddenEffects,
                                            Hidden{"cogging", blind::Generator::Station, 1024},
                                            Hidden{"outliers", blind::Generator::Independent, 1011},
                                            Hidden{"pad-relaxation", blind::Generator::Station, 1038}),
-                         [](const auto& info) {
-                           std::string name = info.param.effect;
+                         [](const auto& hidden) {
+                           std::string name = hidden.param.effect;
                            std::replace(name.begin(), name.end(), '-', '_');
                            return name;
                          });
@@ -73,6 +73,20 @@ TEST_P(HiddenEffects, AreNamedAndTheirRemovalLeavesNoise) {
   EXPECT_GT(diagnosis.gain->after.log_likelihood_per_sample,
             diagnosis.gain->before.log_likelihood_per_sample);
   EXPECT_FALSE(diagnosis.model.effects.empty());
+}
+
+class HiddenPairs : public ::testing::TestWithParam<std::uint64_t> {};
+INSTANTIATE_TEST_SUITE_P(Sample, HiddenPairs, ::testing::Values(1001, 1004));
+
+TEST_P(HiddenPairs, AreBothNamed) {
+  blind::Request request;
+  request.kind = blind::Kind::Pair;
+  request.seed = GetParam();
+  const Sealed hidden = sealed(request);
+  const Diagnosis diagnosis = spoken(hidden.runs);
+  ASSERT_EQ(hidden.answer.effects.size(), 2u);
+  for (const blind::HiddenEffect& effect : hidden.answer.effects)
+    EXPECT_TRUE(names(diagnosis, effect.name)) << effect.name << ": " << diagnosis.summary;
 }
 
 class FaultlessSets : public ::testing::TestWithParam<std::uint64_t> {};
