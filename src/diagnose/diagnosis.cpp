@@ -240,8 +240,8 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
       diagnosis.misfit.location = diagnosis.effects.front().location;
     else if (tells(told))
       diagnosis.misfit.location = told.dependences.front().location;
-    else if (!diagnosis.effects.empty())
-      diagnosis.misfit.location = diagnosis.effects.front().location;
+    else
+      diagnosis.misfit.location = (much_left ? after : before).hint;
   }
 
   // What these runs could not have shown, seen from the final model where that explains them.

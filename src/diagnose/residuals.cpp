@@ -325,25 +325,31 @@ Residuals examine(const Hypothesis& hypothesis, int threads) {
     double surprise, nats;
   };
   std::vector<Finding> findings;
-  const auto add_test = [&](std::string name, const Correlation& found, const char* passed,
+  double failed_most = 0.0;
+  const auto add_test = [&](std::string name, Location location, const Correlation& found, const char* passed,
                             const char* failed) {
     if (!(found.degrees > 0.0)) return;
     const double surprise = surprise_of_chi_square(found.statistic, found.degrees);
     const double p = p_value_of(surprise);
     residuals.tests.push_back({std::move(name), found.statistic, p, p < 1e-3 ? failed : passed});
     findings.push_back({surprise, std::max(0.0, 0.5 * (found.statistic - found.degrees))});
+    if (surprise <= failed_most) return;
+    failed_most = surprise;
+    residuals.hint = location;
   };
-  add_test("whiteness of the force", correlation(filtered, true, true, 1, kLags),
+  add_test("whiteness of the force", Location::ForceReading, correlation(filtered, true, true, 1, kLags),
            "what is left of the force is noise", "what is left of the force hangs together over time");
-  add_test("whiteness of the velocity", correlation(filtered, false, false, 1, kLags),
-           "what is left of the velocity is noise", "what is left of the velocity hangs together over time");
-  add_test("force against velocity", correlation(filtered, true, false, -kCrossLags, kCrossLags),
+  add_test("whiteness of the velocity", Location::TorqueBalance,
+           correlation(filtered, false, false, 1, kLags), "what is left of the velocity is noise",
+           "what is left of the velocity hangs together over time");
+  add_test("force against velocity", Location::Timing,
+           correlation(filtered, true, false, -kCrossLags, kCrossLags),
            "the two readings' errors know nothing of each other",
            "the two readings err together: one of them comes late, or the balance lacks something");
-  add_test("spread of the force", spread_against_rates(filtered, hypothesis.runs, true),
+  add_test("spread of the force", Location::Timing, spread_against_rates(filtered, hypothesis.runs, true),
            "the force is equally uncertain everywhere",
            "the force is more uncertain where something changes fast");
-  add_test("spread of the velocity", spread_against_rates(filtered, hypothesis.runs, false),
+  add_test("spread of the velocity", Location::Timing, spread_against_rates(filtered, hypothesis.runs, false),
            "the velocity is equally uncertain everywhere",
            "the velocity is more uncertain where something changes fast");
   const LackOfFit repeats = lack_of_fit(filtered, hypothesis.runs);

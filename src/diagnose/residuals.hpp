@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -14,6 +15,8 @@ struct Residuals {
   std::vector<Dependence> dependences;  ///< strongest first
   /// -ln p of the most surprising of all tests and dependences, their number counted.
   double surprise = 0.0;
+  /// Where to look if no dependence tells: from the test that fails most.
+  std::optional<Location> hint;
   /// What a model of the strongest finding would gain, nats.
   double nats = 0.0;
 };
