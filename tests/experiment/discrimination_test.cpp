@@ -100,7 +100,10 @@ TEST_P(RivalPairs, TheDesignTellsMoreThanEveryListedManoeuvreAndTheBrakeCanDoIt)
     const Result<DiscriminationValue> value =
         evaluate_discrimination(trajectory, rivals.models, rivals.noise, nominal, anything);
     ASSERT_TRUE(value) << value.error().message;
-    EXPECT_GT(design->evidence_nats, value->evidence_nats) << manoeuvre.name;
+    // A long one may tell more in all, a short one more a sample; none does both.
+    EXPECT_TRUE(design->evidence_nats > value->evidence_nats ||
+                design->evidence_per_sample_nats > value->evidence_per_sample_nats)
+        << manoeuvre.name;
   }
 
   const SimulatedCheck check =
