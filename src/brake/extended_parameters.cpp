@@ -96,4 +96,30 @@ std::string format_extended_parameters(const ExtendedParameters& parameters) {
   return text;
 }
 
+EffectDelays delays_of(const ExtendedParameters& model) {
+  EffectDelays sum;
+  for (const EffectValues& values : model.effects) {
+    const EffectDelays each = delays_of(values);
+    sum = {sum.force + each.force, sum.velocity + each.velocity, sum.torque + each.torque};
+  }
+  return sum;
+}
+
+double value_at(const ExtendedParameters& model, const ExtendedBrake::Place& place) {
+  return place.effect < 0 ? model.base.theta[place.parameter]
+                          : model.effects[static_cast<std::size_t>(place.effect)]
+                                .values[static_cast<std::size_t>(place.parameter)];
+}
+
+double& value_at(ExtendedParameters& model, const ExtendedBrake::Place& place) {
+  return place.effect < 0 ? model.base.theta[place.parameter]
+                          : model.effects[static_cast<std::size_t>(place.effect)]
+                                .values[static_cast<std::size_t>(place.parameter)];
+}
+
+const EffectParameter& parameter_at(const ExtendedParameters& model, const ExtendedBrake::Place& place) {
+  return info_of(*model.effects[static_cast<std::size_t>(place.effect)].effect)
+      .parameters[static_cast<std::size_t>(place.parameter)];
+}
+
 }  // namespace clampd

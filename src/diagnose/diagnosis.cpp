@@ -3,11 +3,11 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <thread>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "clampd/base/parallel.hpp"
 #include "src/diagnose/evidence.hpp"
 #include "src/diagnose/gain.hpp"
 #include "src/diagnose/residuals.hpp"
@@ -148,9 +148,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   if (const auto valid = check(runs); !valid) return tl::unexpected(valid.error());
   if (const auto valid = options.heldout.empty() ? Result<void>{} : check(options.heldout); !valid)
     return tl::unexpected(valid.error());
-  const int threads = options.threads > 0
-                          ? options.threads
-                          : static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  const int threads = threads_or_all(options.threads);
   const Progress progress(options);
   progress(0.0, "fitting the base model");
 

@@ -142,6 +142,7 @@ void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
   const auto orders = static_cast<Eigen::Index>((kScanLast - kScanFirst) / kScanStep) + 1;
   const EffectInfo& info = info_of(*candidate.effect);
   std::vector<Start> found;
+  const SignalScorer scorer(hypothesis.runs, hypothesis.estimate);
   for (Eigen::Index first = 0; first < orders; first += kScanTogether) {
     const Eigen::Index count = std::min(kScanTogether, orders - first);
     const auto order = [&](Eigen::Index i) {
@@ -158,7 +159,7 @@ void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
         }
       signals.rows.push_back(std::move(rows));
     }
-    const SignalScores scores = score_signals(hypothesis.runs, hypothesis.estimate, signals, 2);
+    const SignalScores scores = scorer.score(signals, 2);
     for (Eigen::Index i = 0; i < count; ++i) {
       const Eigen::Matrix2d information = scores.information.block<2, 2>(2 * i, 2 * i);
       const Eigen::Vector2d score = scores.score.segment<2>(2 * i);

@@ -2,6 +2,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "clampd/identify/spikes.hpp"
 #include "src/diagnose/evidence.hpp"
 #include "src/diagnose/hypothesis.hpp"
 
@@ -9,21 +10,10 @@ namespace clampd::diagnosing {
 
 namespace {
 
-/// A reading is a spike if it is so many robust standard deviations off, and more than all others nearby: the
-/// readings after a spike are judged again once it no longer moves the filter.
-constexpr double kSpike = 5.5;
-constexpr std::size_t kNearby = 10;
 constexpr int kMostRounds = 8;
 /// Spikes stand alone; where more than this share has a neighbour, something else is wrong.
 constexpr double kMostNeighbours = 0.3;
 constexpr double kLargestShare = 0.2;
-
-double median_magnitude(std::vector<double> values) {
-  if (values.empty()) return 0.0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 struct Spike {
   std::size_t run, row;
@@ -88,22 +78,15 @@ class SpikeSearch {
   }
 
   bool mark(const std::vector<FilteredRun>& filtered) {
-    std::vector<double> magnitudes;
+    std::vector<double> all;
     for (const FilteredRun& run : filtered)
-      for (const double z : innovations(run))
-        if (std::isfinite(z)) magnitudes.push_back(std::abs(z));
-    const double limit = kSpike * median_magnitude(std::move(magnitudes)) / 0.6745;
+      all.insert(all.end(), innovations(run).begin(), innovations(run).end());
+    const double limit = spike_limit(std::move(all));
     bool any = false;
     for (std::size_t r = 0; r < filtered.size(); ++r) {
-      const std::vector<double>& z = innovations(filtered[r]);
-      for (std::size_t k = 0; k < z.size(); ++k) {
-        if (!(std::abs(z[k]) > limit)) continue;
-        bool largest = true;
-        for (std::size_t i = k > kNearby ? k - kNearby : 0; i < std::min(z.size(), k + kNearby + 1); ++i)
-          largest = largest && !(std::abs(z[i]) > std::abs(z[k]));
-        if (!largest) continue;
-        use(r)[k] = 0;
-        spikes_.push_back({r, k});
+      for (const std::size_t row : spikes_in(innovations(filtered[r]), limit)) {
+        use(r)[row] = 0;
+        spikes_.push_back({r, row});
         any = true;
       }
     }

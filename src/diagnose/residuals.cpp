@@ -7,8 +7,8 @@
 #include <fmt/format.h>
 #include <Eigen/Eigenvalues>
 
+#include "clampd/base/parallel.hpp"
 #include "src/diagnose/evidence.hpp"
-#include "src/diagnose/parallel.hpp"
 
 namespace clampd::diagnosing {
 
@@ -93,7 +93,7 @@ Correlation spread_against_rates(std::span<const FilteredRun> runs, std::span<co
       if (!std::isfinite(z[k])) continue;
       const double gap = data[r].time_s[k + 1] - data[r].time_s[k - 1];
       rows.emplace_back(1.0, std::abs(run.true_velocity_rad_s[k]),
-                        std::abs(run.true_force_N[k + 1] - run.true_force_N[k - 1]) / gap,
+                        std::abs(run.predicted_force_N[k + 1] - run.predicted_force_N[k - 1]) / gap,
                         std::abs(run.true_velocity_rad_s[k + 1] - run.true_velocity_rad_s[k - 1]) / gap);
       squares.push_back(z[k] * z[k]);
     }
@@ -180,7 +180,7 @@ std::vector<Variable> variables_of(std::span<const FilteredRun> filtered, std::s
     const FilteredRun& run = filtered[r];
     list[0].values.push_back(run.position_rad);
     list[1].values.push_back(run.true_velocity_rad_s);
-    list[2].values.push_back(run.true_force_N);
+    list[2].values.push_back(run.predicted_force_N);
     std::vector<double> time(runs[r].time_s), direction(time.size()), number(time.size(), runs[r].number);
     for (double& t : time) t -= runs[r].time_s.front();
     for (std::size_t k = 0; k < direction.size(); ++k)
@@ -249,10 +249,10 @@ std::vector<Eigen::MatrixXd> rates_of(std::span<const FilteredRun> filtered, std
                                       SignalColumns::Kind kind) {
   std::vector<Eigen::MatrixXd> columns;
   for (std::size_t r = 0; r < runs.size(); ++r) {
-    const std::vector<double>& signal = kind == SignalColumns::Kind::ForceReading ? filtered[r].true_force_N
-                                        : kind == SignalColumns::Kind::VelocityReading
-                                            ? filtered[r].true_velocity_rad_s
-                                            : runs[r].torque_Nm;
+    const std::vector<double>& signal =
+        kind == SignalColumns::Kind::ForceReading      ? filtered[r].predicted_force_N
+        : kind == SignalColumns::Kind::VelocityReading ? filtered[r].true_velocity_rad_s
+                                                       : runs[r].torque_Nm;
     Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(signal.size()), 1);
     for (std::size_t k = 1; k + 1 < signal.size(); ++k)
       rows(static_cast<Eigen::Index>(k), 0) =
@@ -394,6 +394,7 @@ Residuals examine(const Hypothesis& hypothesis, int threads) {
   }
   std::vector<Answer> answers(questions.size());
   // One pass a kind: the columns of all its questions side by side.
+  const SignalScorer scorer(hypothesis.runs, hypothesis.estimate);
   const Kind kinds[] = {Kind::Torque, Kind::Force, Kind::ForceReading, Kind::VelocityReading};
   for_each_index(4, threads, [&](std::size_t i) {
     SignalColumns signals{kinds[i], {}};
@@ -413,7 +414,7 @@ Residuals examine(const Hypothesis& hypothesis, int threads) {
       }
       signals.rows.push_back(std::move(rows));
     }
-    const SignalScores scores = score_signals(hypothesis.runs, hypothesis.estimate, signals);
+    const SignalScores scores = scorer.score(signals);
     Eigen::Index at = 0;
     for (const std::size_t q : members) {
       const Eigen::Index count = questions[q].columns.front().cols();

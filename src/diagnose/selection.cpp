@@ -1,13 +1,12 @@
 #include "src/diagnose/selection.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 
 #include <fmt/format.h>
 
+#include "clampd/base/parallel.hpp"
 #include "src/diagnose/evidence.hpp"
-#include "src/diagnose/parallel.hpp"
 
 namespace clampd::diagnosing {
 
@@ -77,11 +76,9 @@ class Selector {
       if ((!has(hypothesis, *effect) || info_of(*effect).repeatable) && room_for(hypothesis, *effect))
         tried.push_back(effect);
     std::vector<Candidate> candidates(tried.size());
-    std::atomic<std::size_t> done{0};
     for_each_index(tried.size(), options_.threads, [&](std::size_t i) {
       candidates[i] = info_of(*tried[i]).name == "outliers" ? look_for_outliers(hypothesis)
                                                             : look_at(*tried[i], hypothesis, runs_);
-      ++done;
     });
     report(from + 0.4 * (to - from), words);
     const auto by_promise = [](const Candidate& a, const Candidate& b) {

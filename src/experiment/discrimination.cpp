@@ -1,18 +1,17 @@
 #include "clampd/experiment/discrimination.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <limits>
 #include <memory>
 #include <string_view>
-#include <thread>
 #include <utility>
 
 #include <fmt/format.h>
 #include <nlopt.h>
 
 #include "clampd/base/clock.hpp"
+#include "clampd/base/parallel.hpp"
 #include "clampd/experiment/reference.hpp"
 #include "discrimination_value.hpp"
 
@@ -274,20 +273,6 @@ class Search {
   ReferenceOptions limits_;
 };
 
-template <class Task>
-void in_parallel(std::size_t count, int threads, const Task& task) {
-  const unsigned machine = std::max(1U, std::thread::hardware_concurrency());
-  const auto workers =
-      std::min(count, static_cast<std::size_t>(threads > 0 ? static_cast<unsigned>(threads) : machine));
-  std::atomic<std::size_t> next{0};
-  const auto work = [&] {
-    for (std::size_t i = next++; i < count; i = next++) task(i);
-  };
-  std::vector<std::jthread> pool;
-  for (std::size_t i = 1; i < workers; ++i) pool.emplace_back(work);
-  work();
-}
-
 void by_rate(std::vector<Candidate>& candidates) {
   std::stable_sort(candidates.begin(), candidates.end(),
                    [](const Candidate& a, const Candidate& b) { return a.rate > b.rate; });
@@ -347,18 +332,19 @@ Result<Discrimination> design_discrimination(std::span<const RivalModel> rivals,
   if (valid) valid = check_rivals(rivals);
   if (!valid) return tl::unexpected(valid.error());
 
+  const int threads = threads_or_all(options.threads);
   const RivalComparison comparison(rivals, noise, nominal, options);
   const Search search(comparison, nominal, options);
   const std::vector<Prototype> all = prototypes();
   std::vector<Candidate> candidates(all.size());
-  in_parallel(all.size(), options.threads, [&](std::size_t i) { candidates[i] = search.coarse(all[i]); });
+  for_each_index(all.size(), threads, [&](std::size_t i) { candidates[i] = search.coarse(all[i]); });
   by_rate(candidates);
   std::erase_if(candidates, [](const Candidate& candidate) { return !std::isfinite(candidate.rate); });
   if (candidates.empty())
     return failure(
         "no manoeuvre within the limits that all rivals can do; are their parameters those of a brake?");
 
-  in_parallel(std::min(candidates.size(), kLookedAtAgain), options.threads, [&](std::size_t i) {
+  for_each_index(std::min(candidates.size(), kLookedAtAgain), threads, [&](std::size_t i) {
     candidates[i].rate = search.rate_of(candidates[i].segments, kCarefulRelinearisations);
   });
   candidates.resize(std::min(candidates.size(), kLookedAtAgain));
@@ -375,11 +361,11 @@ Result<Discrimination> design_discrimination(std::span<const RivalModel> rivals,
     }
   const auto pairs = static_cast<int>(rivals.size() * (rivals.size() - 1) / 2);
   const int evaluations = std::max(1, options.refinement_evaluations / pairs);
-  in_parallel(kept.size(), options.threads,
+  for_each_index(kept.size(), threads,
               [&](std::size_t i) { kept[i] = search.refined(kept[i], evaluations); });
   kept.push_back(candidates.front());
   // From here on with rivals that answer as well as they can.
-  in_parallel(kept.size(), options.threads, [&](std::size_t i) {
+  for_each_index(kept.size(), threads, [&](std::size_t i) {
     kept[i].rate = search.rate_of(kept[i].segments, kCarefulRelinearisations);
   });
   by_rate(kept);

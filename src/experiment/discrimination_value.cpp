@@ -33,16 +33,14 @@ struct Entry {
 std::vector<Entry> entries(ExtendedParameters& model, std::span<const ExtendedBrake::Place> places) {
   std::vector<Entry> all;
   for (const ExtendedBrake::Place& place : places) {
-    const auto i = static_cast<std::size_t>(place.parameter);
     if (place.effect < 0) {
-      const ParameterInfo& info = kParameterTable[i];
-      all.push_back({&model.base.theta[place.parameter], info.lower, info.upper, std::abs(info.nominal),
+      const ParameterInfo& info = kParameterTable[static_cast<std::size_t>(place.parameter)];
+      all.push_back({&value_at(model, place), info.lower, info.upper, std::abs(info.nominal),
                      info.lower > 0.0});
       continue;
     }
-    EffectValues& effect = model.effects[static_cast<std::size_t>(place.effect)];
-    const EffectParameter& info = info_of(*effect.effect).parameters[i];
-    all.push_back({&effect.values[i], info.lower, info.upper, info.scale, info.logarithmic});
+    const EffectParameter& info = parameter_at(model, place);
+    all.push_back({&value_at(model, place), info.lower, info.upper, info.scale, info.logarithmic});
   }
   return all;
 }
@@ -71,17 +69,6 @@ Eigen::MatrixXd information_of(const RivalModel& rival) {
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(size, size);
   information(known, known) = inverse.cwiseQuotient(deviation * deviation.transpose());
   return information;
-}
-
-EffectDelays delays_of(const ExtendedParameters& model) {
-  EffectDelays sum;
-  for (const EffectValues& values : model.effects) {
-    const EffectDelays delays = clampd::delays_of(values);
-    sum.force += delays.force;
-    sum.velocity += delays.velocity;
-    sum.torque += delays.torque;
-  }
-  return sum;
 }
 
 /// As a channel that is recorded late holds it: what it had at the start before anything came.

@@ -1,18 +1,17 @@
 #include "clampd/experiment/optimal_design.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <memory>
 #include <random>
 #include <span>
-#include <thread>
 
 #include <fmt/format.h>
 #include <nlopt.h>
 
 #include "clampd/base/assert.hpp"
+#include "clampd/base/parallel.hpp"
 #include "design_problem.hpp"
 
 namespace clampd {
@@ -174,9 +173,7 @@ class Search {
 
 Search::Search(const DesignOptions& options)
     : options_(options), total_(static_cast<std::size_t>(options.starts)) {
-  const unsigned machine = std::max(1U, std::thread::hardware_concurrency());
-  const unsigned threads = options.threads > 0 ? static_cast<unsigned>(options.threads) : machine;
-  for (unsigned i = 0; i < std::min(threads, 64U); ++i) problems_.emplace_back(options, kTightening);
+  for (int i = 0; i < threads_or_all(options.threads); ++i) problems_.emplace_back(options, kTightening);
 }
 
 std::int64_t Search::simulations() const {
@@ -188,21 +185,13 @@ std::int64_t Search::simulations() const {
 template <class Task>
 std::vector<Candidate> Search::in_parallel(std::size_t count, const Task& task) {
   std::vector<Candidate> found(count);
-  std::atomic<std::size_t> next{0};
-  const auto work = [&](DesignProblem& problem) {
-    for (std::size_t i = next++; i < count; i = next++) {
-      // Each task draws from its own stream, so that no result depends on which thread does it.
-      std::seed_seq seed{options_.seed, options_.seed >> 32, task_ + i};
-      std::mt19937_64 random(seed);
-      problem.forget();
-      found[i] = task(problem, random, i);
-    }
-  };
-  std::vector<std::jthread> threads;
-  for (std::size_t i = 1; i < problems_.size(); ++i)
-    threads.emplace_back([&work, &problem = problems_[i]] { work(problem); });
-  work(problems_.front());
-  threads.clear();
+  for_each_index(count, static_cast<int>(problems_.size()), [&](std::size_t thread, std::size_t i) {
+    // Each task draws from its own stream, so that no result depends on which thread does it.
+    std::seed_seq seed{options_.seed, options_.seed >> 32, task_ + i};
+    std::mt19937_64 random(seed);
+    problems_[thread].forget();
+    found[i] = task(problems_[thread], random, i);
+  });
   task_ += count;
   return found;
 }

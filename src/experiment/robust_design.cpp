@@ -2,19 +2,18 @@
 
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <memory>
 #include <numeric>
 #include <random>
-#include <thread>
 
 #include <fmt/format.h>
 #include <nlopt.h>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/base/clock.hpp"
+#include "clampd/base/parallel.hpp"
 #include "clampd/experiment/manoeuvres.hpp"
 #include "clampd/experiment/reference.hpp"
 #include "closed_loop.hpp"
@@ -45,23 +44,6 @@ constexpr int kSeedingStarts = 48;  ///< of each cautious D design
 constexpr double kStepLevel_N = 1000.0;
 constexpr double kStepRise_s = 0.01;
 constexpr double kLeastHold = 1.0 / 3.0;  ///< of the length
-
-std::size_t thread_count(int wanted) {
-  const unsigned machine = std::max(1U, std::thread::hardware_concurrency());
-  return std::min<std::size_t>(wanted > 0 ? static_cast<unsigned>(wanted) : machine, 64);
-}
-
-/// The worker's number and the task's, for all tasks.
-template <class Task>
-void in_parallel(std::size_t count, std::size_t workers, const Task& task) {
-  std::atomic<std::size_t> next{0};
-  const auto work = [&](std::size_t worker) {
-    for (std::size_t i = next++; i < count; i = next++) task(worker, i);
-  };
-  std::vector<std::jthread> threads;
-  for (std::size_t worker = 1; worker < workers; ++worker) threads.emplace_back(work, worker);
-  work(0);
-}
 
 RobustEvaluation evaluate_reference(const Reference& reference, const ClosedLoop& loop,
                                     std::span<const BrakeParameters> brakes, const NoiseLevels& noise) {
@@ -431,21 +413,21 @@ RobustSummary design_robust_experiment(const RobustOptions& options) {
   CLAMPD_ASSERT(options.validate());
   const auto begin = std::chrono::steady_clock::now();
   RobustSummary summary;
-  const std::size_t workers = thread_count(options.threads);
+  const int threads = threads_or_all(options.threads);
   const std::vector<BrakeParameters> brakes =
       draw_prior(options.nominal, options.search_brakes, options.seed);
-  std::vector<RobustProblem> problems(workers, RobustProblem(options, brakes));
+  std::vector<RobustProblem> problems(static_cast<std::size_t>(threads), RobustProblem(options, brakes));
   std::vector<Candidate> found;
   std::vector<Candidate> elite;
   const auto total = static_cast<std::size_t>(options.starts);
   std::size_t done = 0;
   const auto round = [&](std::size_t count, const auto& task) {
     std::vector<Candidate> candidates(count);
-    in_parallel(count, workers, [&](std::size_t worker, std::size_t i) {
+    for_each_index(count, threads, [&](std::size_t thread, std::size_t i) {
       // Each task draws from its own stream, so that no result depends on which thread does it.
       std::seed_seq sequence{options.seed, options.seed >> 32, static_cast<std::uint64_t>(done + i)};
       std::mt19937_64 random(sequence);
-      candidates[i] = task(problems[worker], random, i);
+      candidates[i] = task(problems[thread], random, i);
     });
     done += count;
     for (Candidate& candidate : candidates)

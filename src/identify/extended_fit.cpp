@@ -21,27 +21,14 @@ namespace identify {
 
 namespace {
 
-/// Stands for the cost where the model cannot be simulated, so that the solver steps back.
-constexpr double kImpossible = 1e30;
-
 /// Gains and noise are renewed until the noise's standard deviations change by less than this share.
 constexpr double kNoiseTolerance = 0.01;
+constexpr double kNegligibleTorque = 1e-7;  // a variance
 constexpr int kMostRounds = 12;
 constexpr int kNoiseIterations = 6;
 
 /// Below this much torque noise (N m) nothing changes any more.
 constexpr double kSmallestTorque_Nm = 2e-5;
-
-/// Of a run's unknowns: position, velocity, then the effects' free states.
-std::vector<double> prior_deviations(const ExtendedParameters& model) {
-  std::vector<double> deviations{kInitialPositionPrior_rad, kInitialVelocityPrior_rad_s};
-  for (const EffectValues& values : model.effects) {
-    const EffectInfo& info = info_of(*values.effect);
-    deviations.insert(deviations.end(), static_cast<std::size_t>(info.free_states),
-                      info.free_state_deviation);
-  }
-  return deviations;
-}
 
 /// The innovations of all runs as a function of the unknowns, for ceres::TinySolver, with gains that stay as
 /// they are; as JointFit, but for any model. Unknowns: parameters, then each run's locals.
@@ -159,35 +146,26 @@ class ExtendedFit {
     return sum;
   }
 
-  /// All runs' initial states eliminated: information, gradient and what is left of the squares.
-  struct Joint {
-    Eigen::MatrixXd information;
-    Eigen::VectorXd gradient;
-    double squares = 0.0;
-  };
-  Joint joint() const {
-    Joint joint{Eigen::MatrixXd::Zero(parameters_, parameters_), Eigen::VectorXd::Zero(parameters_)};
+  /// All runs' initial states eliminated.
+  Reduced joint() const {
+    Reduced joint{Eigen::MatrixXd::Zero(parameters_, parameters_), Eigen::VectorXd::Zero(parameters_)};
     for (const Eigen::MatrixXd& normal : now_.normals) {
-      const int data = parameters_ + locals_;
-      const auto local_block = normal.block(parameters_, parameters_, locals_, locals_);
-      const Eigen::LDLT<Eigen::MatrixXd> factor(local_block);
-      const Eigen::MatrixXd cross = normal.block(parameters_, 0, locals_, parameters_);
-      const Eigen::VectorXd right = normal.block(parameters_, data, locals_, 1);
-      const Eigen::MatrixXd solved = factor.solve(cross);
-      joint.information += normal.topLeftCorner(parameters_, parameters_) - cross.transpose() * solved;
-      joint.gradient += normal.block(0, data, parameters_, 1) - solved.transpose() * right;
-      joint.squares += normal(data, data) - right.dot(factor.solve(right));
+      const Reduced run = without_locals(normal, parameters_, locals_);
+      joint.information += run.information;
+      joint.gradient += run.gradient;
+      joint.squares += run.squares;
     }
     return joint;
   }
+  const Eigen::MatrixXd& normal(std::size_t run) const { return now_.normals[run]; }
 
   double expected_decrease() const {
-    const Joint all = joint();
+    const Reduced all = joint();
     return squares() - all.squares + all.gradient.dot(solve(all.information, all.gradient));
   }
 
   void gauss_newton_step(Eigen::VectorXd& step) const {
-    const Joint all = joint();
+    const Reduced all = joint();
     Eigen::VectorXd move = -solve(all.information, all.gradient);
     step.resize(NumParameters());
     for (int i = 0; i < parameters_; ++i)
@@ -229,16 +207,10 @@ class ExtendedFit {
                                    kSmallestNoise.velocity_rad_s, 1.0);
       // The torque's noise shows through the readings' only: this rule's steps are then too small.
       variances.torque = renewed(variances.torque, sum.torque, sum.torque_expected, kSmallestTorque_Nm, 1.6);
-      if (change_between(before, variances) < 0.5 * kNoiseTolerance) break;
+      if (change_between(before, variances, kNegligibleTorque) < 0.5 * kNoiseTolerance) break;
     }
     invalidate();
     return variances;
-  }
-
-  static double change_between(const Variances& a, const Variances& b) {
-    constexpr double kNegligible = 1e-7;
-    return 0.5 * std::max({std::abs(b.force / a.force - 1.0), std::abs(b.velocity / a.velocity - 1.0),
-                           std::abs(b.torque - a.torque) / (std::max(a.torque, b.torque) + kNegligible)});
   }
 
   std::span<const ExtendedRun> linear_runs() const { return now_.runs; }
@@ -278,16 +250,7 @@ class ExtendedFit {
       compute_normal(runs_[r], now_.runs[r]);
       Eigen::MatrixXd& normal = now_.normals[r] = now_.runs[r].normal;
       if (!normal.allFinite()) return false;
-      const int data = parameters_ + locals_;
-      for (int i = 0; i < locals_; ++i) {
-        const double deviation = prior_[static_cast<std::size_t>(i)];
-        const double weight = 1.0 / (deviation * deviation);
-        const double distance = initial[i] - centres_[r][i];
-        normal(parameters_ + i, parameters_ + i) += weight;
-        normal(parameters_ + i, data) += weight * distance;
-        normal(data, parameters_ + i) += weight * distance;
-        normal(data, data) += weight * distance * distance;
-      }
+      add_prior(prior_, initial - centres_[r], parameters_, normal);
     }
     now_.possible = true;
     return true;
@@ -302,19 +265,6 @@ class ExtendedFit {
     return scaled.ldlt().solve(gradient.cwiseQuotient(scale)).cwiseQuotient(scale);
   }
 
-  static Eigen::MatrixXd semidefinite_factor(const Eigen::MatrixXd& matrix) {
-    const Eigen::Index size = matrix.rows();
-    Eigen::MatrixXd factor = Eigen::MatrixXd::Zero(size, size);
-    for (Eigen::Index i = 0; i < size; ++i) {
-      const double pivot = matrix(i, i) - factor.col(i).head(i).squaredNorm();
-      if (!(pivot > 1e-14 * matrix(i, i))) continue;
-      const double root = std::sqrt(pivot);
-      for (Eigen::Index j = i; j < size; ++j)
-        factor(i, j) = (matrix(i, j) - factor.col(i).head(i).dot(factor.col(j).head(i))) / root;
-    }
-    return factor;
-  }
-
   std::span<const FitRun> runs_;
   ExtendedParameters model_;
   ExtendedBrake shape_;
@@ -326,12 +276,8 @@ class ExtendedFit {
   mutable Evaluation now_, before_;
 };
 
-NoiseLevels levels_of(const Variances& variances) {
-  return {{std::sqrt(variances.force), std::sqrt(variances.velocity)}, std::sqrt(variances.torque)};
-}
-
 Eigen::MatrixXd covariance_of(const ExtendedFit& fit, const ExtendedParameters& model) {
-  const ExtendedFit::Joint joint = fit.joint();
+  const Reduced joint = fit.joint();
   const Eigen::VectorXd scale = joint.information.diagonal().cwiseMax(1e-300).cwiseSqrt();
   const Eigen::MatrixXd scaled = joint.information.cwiseQuotient(scale * scale.transpose());
   const int all = fit.all_parameters();
@@ -471,7 +417,7 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
     double change = 0.0;
     if (options.estimate_noise) {
       const Variances found = fit.estimate_noise(variances, kNoiseIterations);
-      change = ExtendedFit::change_between(variances, found);
+      change = change_between(variances, found, kNegligibleTorque);
       variances = found;
     }
     estimate.settled = descent.settled && change < kNoiseTolerance;
@@ -571,11 +517,6 @@ std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const Extende
     const int data = linear.columns() - 1;
     ExtendedBrake::State state(linear.states);
     double squares = 0.0;
-    const auto row_at = [&](std::size_t k) {
-      const bool last = k + 1 == size;
-      return RowInput{run.torque_Nm[k], run.torque_Nm[last ? k : k + 1], run.time_s[k],
-                      last ? kLargestStep_s : run.time_s[k + 1] - run.time_s[k], run.number};
-    };
     for (std::size_t k = 0; k < size; ++k) {
       const auto at = static_cast<Eigen::Index>(2 * k);
       const double force = linear.innovations(data, at);
@@ -588,7 +529,6 @@ std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const Extende
       view.predicted_velocity_rad_s.push_back(run.velocity_rad_s[k] - linear.residual[2 * k + 1]);
       view.position_rad.push_back(state[0]);
       view.true_velocity_rad_s.push_back(state[1]);
-      view.true_force_N.push_back(view.predicted_force_N.back());
     }
     view.log_likelihood =
         -0.5 * (squares + linear.log_determinant + linear.readings * std::log(2.0 * std::numbers::pi));
@@ -597,11 +537,11 @@ std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const Extende
     for (double& value : view.disturbance_Nm) value *= variances.torque;
     // Free of the filter's corrections: the model alone, driven by the torque as the smoother has it.
     const Eigen::VectorXd& initial = estimate.initial_states[r];
-    state = brake.settled(initial[0], initial[1], row_at(0));
+    state = brake.settled(initial[0], initial[1], row_input(run, 0));
     for (std::size_t f = 0; f < brake.free_states().size(); ++f)
       state[brake.free_states()[f]] += initial[2 + static_cast<Eigen::Index>(f)];
     for (std::size_t k = 0; k < size; ++k) {
-      RowInput row = row_at(k);
+      RowInput row = row_input(run, k);
       const bool bounded = ExtendedBrake::is_bounded(state);
       const Reading reading = bounded ? brake.read(state, row) : Reading{NAN, NAN};
       view.simulated_force_N.push_back(reading.force_N);
@@ -615,57 +555,68 @@ std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const Extende
   return views;
 }
 
-SignalScores score_signals(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-                           const SignalColumns& signals, int blocks) {
-  ExtendedFit fit(runs, estimate, {});
+struct SignalScorer::Filtered {
+  Filtered(std::span<const FitRun> given, const ExtendedEstimate& estimate)
+      : runs(given), model(estimate.parameters), fit(given, estimate, {}) {
+    possible = fit.renew(fit.start(), variances_of(estimate.noise));
+    if (!possible) return;
+    joint = fit.joint();
+    scale = joint.information.diagonal().cwiseMax(1e-300).cwiseSqrt();
+    Eigen::MatrixXd scaled = joint.information.cwiseQuotient(scale * scale.transpose());
+    scaled.diagonal().array() += 1e-10;
+    factor.compute(scaled);
+  }
+
+  std::span<const FitRun> runs;
+  const ExtendedParameters& model;
+  ExtendedFit fit;
+  bool possible = false;
+  Reduced joint;
+  Eigen::VectorXd scale;  ///< of the parameters' information
+  Eigen::LDLT<Eigen::MatrixXd> factor;
+};
+
+SignalScorer::SignalScorer(std::span<const FitRun> runs, const ExtendedEstimate& estimate)
+    : filtered_(std::make_unique<const Filtered>(runs, estimate)) {}
+
+SignalScorer::~SignalScorer() = default;
+
+SignalScores SignalScorer::score(const SignalColumns& signals, int blocks) const {
   const Eigen::Index columns = signals.rows.empty() ? 0 : signals.rows.front().cols();
   SignalScores scores{Eigen::VectorXd::Zero(columns), Eigen::MatrixXd::Zero(columns, columns),
                       Eigen::VectorXd::Zero(columns)};
-  if (!fit.renew(fit.start(), variances_of(estimate.noise))) return scores;
+  if (!filtered_->possible) return scores;
+  const Eigen::Index width = blocks > 0 ? blocks : columns;
+  const auto in_blocks = [&](const Eigen::MatrixXd& left, const Eigen::MatrixXd& right, double sign) {
+    for (Eigen::Index first = 0; first + width <= columns && width > 0; first += width)
+      scores.information.block(first, first, width, width) +=
+          sign * left.middleCols(first, width).transpose() * right.middleCols(first, width);
+  };
+  const ExtendedFit& fit = filtered_->fit;
   const int p = fit.parameters();
-  const std::vector<double> prior = prior_deviations(estimate.parameters);
   Eigen::MatrixXd with_parameters = Eigen::MatrixXd::Zero(p, columns);
-  for (std::size_t r = 0; r < runs.size(); ++r) {
+  for (std::size_t r = 0; r < filtered_->runs.size(); ++r) {
     const ExtendedRun& linear = fit.linear_runs()[r];
+    const Eigen::MatrixXd& normal = fit.normal(r);
     const Eigen::MatrixXd seen =
-        filter_signals(runs[r], linear, signals.kind, signals.rows[r], estimate.parameters);
+        filter_signals(filtered_->runs[r], linear, signals.kind, signals.rows[r], filtered_->model)
+            .transpose();
     const int l = linear.locals;
     // Of parameters, locals and data with the signals; then the run's own initial state follows.
-    const Eigen::MatrixXd products = linear.innovations * seen.transpose();
-    Eigen::MatrixXd local_block = linear.normal.block(p, p, l, l);
-    for (int i = 0; i < l; ++i)
-      local_block(i, i) += 1.0 / (prior[static_cast<std::size_t>(i)] * prior[static_cast<std::size_t>(i)]);
-    const Eigen::LDLT<Eigen::MatrixXd> factor(local_block);
+    const Eigen::MatrixXd products = linear.innovations * seen;
     const Eigen::MatrixXd local_products = products.middleRows(p, l);
-    const Eigen::MatrixXd solved = factor.solve(local_products);
-    with_parameters += products.topRows(p) - linear.normal.block(0, p, p, l) * solved;
-    scores.alone += seen.rowwise().squaredNorm();
-    scores.score -=
-        products.row(p + l).transpose() - solved.transpose() * linear.normal.block(p, p + l, l, 1);
-    if (blocks == 0) {
-      scores.information += seen * seen.transpose() - local_products.transpose() * solved;
-    } else {
-      for (Eigen::Index first = 0; first + blocks <= columns; first += blocks)
-        scores.information.block(first, first, blocks, blocks) +=
-            seen.middleRows(first, blocks) * seen.middleRows(first, blocks).transpose() -
-            local_products.middleCols(first, blocks).transpose() * solved.middleCols(first, blocks);
-    }
+    const Eigen::MatrixXd solved = normal.block(p, p, l, l).ldlt().solve(local_products);
+    with_parameters += products.topRows(p) - normal.block(0, p, p, l) * solved;
+    scores.alone += seen.colwise().squaredNorm().transpose();
+    scores.score -= products.row(p + l).transpose() - solved.transpose() * normal.block(p, p + l, l, 1);
+    in_blocks(seen, seen, 1.0);
+    in_blocks(local_products, solved, -1.0);
   }
-  const ExtendedFit::Joint joint = fit.joint();
-  const Eigen::VectorXd scale = joint.information.diagonal().cwiseMax(1e-300).cwiseSqrt();
-  Eigen::MatrixXd scaled = joint.information.cwiseQuotient(scale * scale.transpose());
-  scaled.diagonal().array() += 1e-10;
-  const Eigen::LDLT<Eigen::MatrixXd> factor(scaled);
+  const Eigen::VectorXd& scale = filtered_->scale;
   const Eigen::MatrixXd whitened = scale.cwiseInverse().asDiagonal() * with_parameters;
-  const Eigen::MatrixXd solved = factor.solve(whitened);
-  scores.score += solved.transpose() * joint.gradient.cwiseQuotient(scale);
-  if (blocks == 0) {
-    scores.information -= whitened.transpose() * solved;
-  } else {
-    for (Eigen::Index first = 0; first + blocks <= columns; first += blocks)
-      scores.information.block(first, first, blocks, blocks) -=
-          whitened.middleCols(first, blocks).transpose() * solved.middleCols(first, blocks);
-  }
+  const Eigen::MatrixXd solved = filtered_->factor.solve(whitened);
+  scores.score += solved.transpose() * filtered_->joint.gradient.cwiseQuotient(scale);
+  in_blocks(whitened, solved, -1.0);
   return scores;
 }
 

@@ -15,6 +15,7 @@
 #include "clampd/identify/extended_fit.hpp"
 #include "clampd/identify/parameter_scores.hpp"
 #include "clampd/identify/prediction_error.hpp"
+#include "clampd/identify/spikes.hpp"
 #include "src/identify/conclusion.hpp"
 #include "src/identify/starting_point.hpp"
 
@@ -45,26 +46,12 @@ constexpr double kLikelyTorqueNoise_Nm = 0.01;
 /// Of the readings' noise, an offset small enough for the scores to be linear in it.
 constexpr double kOffsetShare = 0.1;
 
-/// A reading is a spike if it is so many robust standard deviations off and the largest one nearby.
-constexpr double kSpike = 5.5;
-constexpr std::size_t kNearby = 10;
 constexpr int kSpikeRounds = 6;
-
-const EffectParameter& info_at(const ExtendedParameters& model, const ExtendedBrake::Place& place) {
-  return info_of(*model.effects[static_cast<std::size_t>(place.effect)].effect)
-      .parameters[static_cast<std::size_t>(place.parameter)];
-}
-
-double value_at(const ExtendedParameters& model, const ExtendedBrake::Place& place) {
-  return place.effect < 0 ? model.base.theta[place.parameter]
-                          : model.effects[static_cast<std::size_t>(place.effect)]
-                                .values[static_cast<std::size_t>(place.parameter)];
-}
 
 std::string name_at(const ExtendedParameters& model, const ExtendedBrake::Place& place) {
   if (place.effect < 0) return std::string(kParameterTable[static_cast<std::size_t>(place.parameter)].name);
   return fmt::format("{}.{}", info_of(*model.effects[static_cast<std::size_t>(place.effect)].effect).name,
-                     info_at(model, place).name);
+                     parameter_at(model, place).name);
 }
 
 bool is_bounded_by_neutral(const EffectParameter& parameter) {
@@ -72,27 +59,11 @@ bool is_bounded_by_neutral(const EffectParameter& parameter) {
          (parameter.neutral == parameter.lower || parameter.neutral == parameter.upper);
 }
 
-/// Leaves out the spikes of a channel: single readings far off, of which the filter knows nothing.
+/// Leaves out the spikes of a channel, of which the filter knows nothing; whether there were any.
 bool mark_spikes(const std::vector<double>& innovations, std::vector<std::uint8_t>& use) {
-  std::vector<double> sizes;
-  for (const double e : innovations)
-    if (std::isfinite(e)) sizes.push_back(std::abs(e));
-  if (sizes.empty()) return false;
-  const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
-  std::nth_element(sizes.begin(), middle, sizes.end());
-  const double limit = kSpike * *middle / 0.6745;
-  bool any = false;
-  for (std::size_t k = 0; k < innovations.size(); ++k) {
-    const double size = std::abs(innovations[k]);
-    if (!(size > limit)) continue;
-    bool largest = true;
-    for (std::size_t i = k > kNearby ? k - kNearby : 0; i < std::min(use.size(), k + kNearby + 1); ++i)
-      largest = largest && !(std::abs(innovations[i]) > size);
-    if (!largest) continue;
-    use[k] = 0;
-    any = true;
-  }
-  return any;
+  const std::vector<std::size_t> spikes = spikes_in(innovations, spike_limit(innovations));
+  for (const std::size_t row : spikes) use[row] = 0;
+  return !spikes.empty();
 }
 
 /// The extended model fitted to runs.
@@ -107,9 +78,9 @@ class Extension {
     model_.base.fixed = options.start.fixed;
     for (const EffectValues& effect : model_.effects) {
       CLAMPD_ASSERT(effect.values.size() == info_of(*effect.effect).parameters.size());
-      move_by(delays_of(effect), runs_);
       has_spikes_ = has_spikes_ || info_of(*effect.effect).name == "outliers";
     }
+    move_by(delays_of(model_), runs_);
     settings_.max_iterations = options.max_iterations;
     settings_.held = options.held;
     settings_.estimate_noise = !options.noise_torque_Nm;
@@ -180,8 +151,7 @@ class Extension {
   bool may_be_absent(std::size_t at) const {
     const EffectValues& values = estimate_.parameters.effects[at];
     const EffectInfo& info = info_of(*values.effect);
-    const EffectDelays delays = delays_of(values);
-    if (delays.force != 0 || delays.velocity != 0 || delays.torque != 0) return false;
+    if (!delays_of(values).none()) return false;
     const StepForecast step = forecast(runs_, estimate_);
     const ExtendedBrake shape(estimate_.parameters);
     bool bounded = false;
@@ -267,7 +237,7 @@ class Precision {
     const int p = free_[which];
     const ExtendedBrake::Place& place = place_of(p);
     // The shape of an effect that does not show is nothing to miss.
-    if (place.effect < 0 || info_at(model_, place).role == Role::Strength)
+    if (place.effect < 0 || parameter_at(model_, place).role == Role::Strength)
       unknown_ += (unknown_.empty() ? "" : ", ") + name_at(model_, place);
     set_aside_.push_back(p);
     free_.erase(free_.begin() + static_cast<std::ptrdiff_t>(which));
@@ -317,7 +287,7 @@ class Precision {
         upper = info.upper;
         vagueness = sd / (kUndetermined * std::abs(info.nominal));
       } else {
-        const EffectParameter& info = info_at(model_, place);
+        const EffectParameter& info = parameter_at(model_, place);
         constexpr double kInfinity = std::numeric_limits<double>::infinity();
         // A strength at a bound is as known as any: a whole sample late, a lag that is not there.
         const bool strength = info.role == Role::Strength;

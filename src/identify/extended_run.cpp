@@ -4,6 +4,8 @@
 #include <cmath>
 #include <numbers>
 
+#include <Eigen/Cholesky>
+
 #include "clampd/base/assert.hpp"
 
 namespace clampd::identify {
@@ -68,15 +70,6 @@ bool positive_by_nature(const ExtendedBrake::Place& place, const EffectParameter
   return parameter->logarithmic;
 }
 
-double& value_at(ExtendedParameters& model, const ExtendedBrake::Place& place) {
-  if (place.effect < 0) return model.base.theta[place.parameter];
-  return model.effects[static_cast<std::size_t>(place.effect)]
-      .values[static_cast<std::size_t>(place.parameter)];
-}
-double value_at(const ExtendedParameters& model, const ExtendedBrake::Place& place) {
-  return value_at(const_cast<ExtendedParameters&>(model), place);
-}
-
 }  // namespace
 
 Unknowns::Unknowns(const ExtendedParameters& model, std::span<const ExtendedBrake::Place> places,
@@ -89,9 +82,7 @@ Unknowns::Unknowns(const ExtendedParameters& model, std::span<const ExtendedBrak
       free_.push_back({static_cast<int>(i), place, positive_by_nature(place, nullptr),
                        kParameterTable[parameter].nominal});
     } else if (!hold_effects) {
-      const EffectParameter& parameter =
-          info_of(*model.effects[static_cast<std::size_t>(place.effect)].effect)
-              .parameters[static_cast<std::size_t>(place.parameter)];
+      const EffectParameter& parameter = parameter_at(model, place);
       free_.push_back({static_cast<int>(i), place, positive_by_nature(place, &parameter), parameter.scale});
     }
   }
@@ -126,6 +117,12 @@ bool within_bounds(const ExtendedParameters& model) {
   return true;
 }
 
+RowInput row_input(const FitRun& run, std::size_t k) noexcept {
+  const bool last = k + 1 == run.size();
+  return {run.torque_Nm[k], run.torque_Nm[last ? k : k + 1], run.time_s[k],
+          last ? kLargestStep_s : run.time_s[k + 1] - run.time_s[k], run.number};
+}
+
 void ExtendedRun::resize(std::size_t size, int n, int p, int l) {
   rows = size;
   states = n;
@@ -158,13 +155,8 @@ bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedPara
     places[i] = unknowns.parameter(i);
   }
   double jacobian[kMostStates * (kMostStates + ExtendedBrake::kMostParameters + 2)];
-  const auto row_at = [&](std::size_t k) {
-    const bool last = k + 1 == out.rows;
-    return RowInput{run.torque_Nm[k], run.torque_Nm[last ? k : k + 1], run.time_s[k],
-                    last ? kLargestStep_s : run.time_s[k + 1] - run.time_s[k], run.number};
-  };
 
-  ExtendedBrake::State state = brake.settled(initial[0], initial[1], row_at(0), jacobian);
+  ExtendedBrake::State state = brake.settled(initial[0], initial[1], row_input(run, 0), jacobian);
   std::fill(out.initial.begin(), out.initial.end(), 0.0);
   for (int i = 0; i < n; ++i) {
     double* row = out.initial.data() + i * (p + out.locals);
@@ -183,7 +175,7 @@ bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedPara
   out.readings = 0.0;
   for (std::size_t k = 0; k < out.rows; ++k) {
     if (!ExtendedBrake::is_bounded(state)) return false;
-    const RowInput row = row_at(k);
+    const RowInput row = row_input(run, k);
     std::copy_n(state.data(), n, out.reference.data() + k * static_cast<std::size_t>(n));
     const Reading reading = brake.read(state, row, jacobian);
     double* residual = out.residual.data() + 2 * k;
@@ -308,6 +300,42 @@ void compute_normal(const FitRun& run, ExtendedRun& out) {
   out.normal.setZero(m, m);
   out.normal.selfadjointView<Eigen::Lower>().rankUpdate(out.innovations);
   out.normal.triangularView<Eigen::StrictlyUpper>() = out.normal.transpose();
+}
+
+std::vector<double> prior_deviations(const ExtendedParameters& model) {
+  std::vector<double> deviations{kInitialPositionPrior_rad, kInitialVelocityPrior_rad_s};
+  for (const EffectValues& values : model.effects) {
+    const EffectInfo& info = info_of(*values.effect);
+    deviations.insert(deviations.end(), static_cast<std::size_t>(info.free_states),
+                      info.free_state_deviation);
+  }
+  return deviations;
+}
+
+void add_prior(std::span<const double> deviations, const Eigen::VectorXd& distance, int parameters,
+               Eigen::MatrixXd& normal) {
+  const Eigen::Index data = normal.rows() - 1;
+  for (Eigen::Index i = 0; i < distance.size(); ++i) {
+    const Eigen::Index at = parameters + i;
+    const double deviation = deviations[static_cast<std::size_t>(i)];
+    const double weight = 1.0 / (deviation * deviation);
+    normal(at, at) += weight;
+    normal(at, data) += weight * distance[i];
+    normal(data, at) += weight * distance[i];
+    normal(data, data) += weight * distance[i] * distance[i];
+  }
+}
+
+Reduced without_locals(const Eigen::MatrixXd& normal, int parameters, int locals) {
+  const int data = parameters + locals;
+  const Eigen::LDLT<Eigen::MatrixXd> factor(normal.block(parameters, parameters, locals, locals));
+  // Side by side: Eigen does not solve for no column at all, which a fit without parameters has.
+  Eigen::MatrixXd followed(locals, parameters + 1);
+  followed << normal.block(parameters, 0, locals, parameters), normal.block(parameters, data, locals, 1);
+  const Eigen::MatrixXd taken = followed.transpose() * factor.solve(followed);
+  return {normal.topLeftCorner(parameters, parameters) - taken.topLeftCorner(parameters, parameters),
+          normal.block(0, data, parameters, 1) - taken.topRightCorner(parameters, 1),
+          normal(data, data) - taken(parameters, parameters)};
 }
 
 void regain(const FitRun& run, const Variances& variances, ExtendedRun& out,

@@ -38,6 +38,9 @@ class Unknowns {
 
 bool within_bounds(const ExtendedParameters& model);
 
+/// Row k of a run, with what follows it.
+RowInput row_input(const FitRun& run, std::size_t k) noexcept;
+
 /// A run linearised row by row about the estimates of a filter, for a model with any number of states n, and
 /// parameters p; readings are taken one after the other, force first. Locals: the unknowns of the run's
 /// initial state. All matrices row-major, one after the other.
@@ -77,6 +80,23 @@ bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedPara
 
 /// [J e] and its normal equations under the gains.
 void compute_normal(const FitRun& run, ExtendedRun& out);
+
+/// Of the weak prior of a run's locals: position, velocity, then the effects' free states.
+std::vector<double> prior_deviations(const ExtendedParameters& model);
+
+/// Adds that prior to normal equations of `parameters`, locals and the data; `distance` is the locals' from
+/// its centre.
+void add_prior(std::span<const double> deviations, const Eigen::VectorXd& distance, int parameters,
+               Eigen::MatrixXd& normal);
+
+/// Normal equations of parameters and data when the locals follow.
+struct Reduced {
+  Eigen::MatrixXd information;
+  Eigen::VectorXd gradient;
+  double squares = 0.0;
+};
+/// `normal` with the prior of the locals in it.
+Reduced without_locals(const Eigen::MatrixXd& normal, int parameters, int locals);
 
 /// Rows as they are, gains for these variances; the innovations themselves into `innovation` (2 a row).
 void regain(const FitRun& run, const Variances& variances, ExtendedRun& out, std::vector<double>& innovation);

@@ -14,29 +14,12 @@ namespace clampd::identify {
 
 namespace {
 
-/// Stands for the cost where the model cannot be simulated, so that the solver steps back.
-constexpr double kImpossible = 1e30;
-
 /// Huber's bend, in standard deviations, and the mean of the weighted square of a standard normal with it.
 constexpr double kHuberBend = 2.5;
 constexpr double kHuberSquare = 0.9876;
 
 bool is_logarithmic(int parameter) {
   return parameter != static_cast<int>(k1);
-}
-
-/// Upper triangular U with U^T U = matrix, rows of vanishing pivots zero: a column that the run says nothing
-/// about.
-Normal semidefinite_factor(const Normal& matrix) {
-  Normal factor = Normal::Zero();
-  for (int i = 0; i <= kUnknowns; ++i) {
-    const double pivot = matrix(i, i) - factor.col(i).head(i).squaredNorm();
-    if (!(pivot > 1e-14 * matrix(i, i))) continue;
-    const double root = std::sqrt(pivot);
-    for (int j = i; j <= kUnknowns; ++j)
-      factor(i, j) = (matrix(i, j) - factor.col(i).head(i).dot(factor.col(j).head(i))) / root;
-  }
-  return factor;
 }
 
 }  // namespace

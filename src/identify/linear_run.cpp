@@ -106,6 +106,15 @@ Variances variances_of(const NoiseLevels& noise) noexcept {
           noise.sensors.velocity_rad_s * noise.sensors.velocity_rad_s, noise.torque_Nm * noise.torque_Nm};
 }
 
+NoiseLevels levels_of(const Variances& variances) noexcept {
+  return {{std::sqrt(variances.force), std::sqrt(variances.velocity)}, std::sqrt(variances.torque)};
+}
+
+double change_between(const Variances& a, const Variances& b, double negligible_torque) noexcept {
+  return 0.5 * std::max({std::abs(b.force / a.force - 1.0), std::abs(b.velocity / a.velocity - 1.0),
+                         std::abs(b.torque - a.torque) / (std::max(a.torque, b.torque) + negligible_torque)});
+}
+
 void LinearRun::resize(std::size_t size) {
   rows.resize(size);
   gains.resize(size);

@@ -40,6 +40,11 @@ struct Variances {
   double torque = 0.0;
 };
 Variances variances_of(const NoiseLevels& noise) noexcept;
+NoiseLevels levels_of(const Variances& variances) noexcept;
+
+/// The largest relative change of a standard deviation; the torque's counts once it is no longer lost in
+/// `negligible_torque`, a variance.
+double change_between(const Variances& a, const Variances& b, double negligible_torque) noexcept;
 
 /// What a reading counts: its noise has the variance divided by its weight. Empty: one each.
 struct ReadingWeights {

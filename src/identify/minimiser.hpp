@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 
 #include <ceres/tiny_solver.h>
 #include <Eigen/Core>
@@ -26,6 +27,25 @@ inline constexpr double kLastLeap = 4.0;
 inline constexpr int kLeapIterations = 6;
 
 }  // namespace minimiser
+
+/// Stands for the cost where a model cannot be simulated, so that the solver steps back.
+inline constexpr double kImpossible = 1e30;
+
+/// Upper triangular U with U^T U = matrix, rows of vanishing pivots zero: a column that the data say nothing
+/// about.
+template <class Matrix>
+Matrix semidefinite_factor(const Matrix& matrix) {
+  const Eigen::Index size = matrix.rows();
+  Matrix factor = Matrix::Zero(size, size);
+  for (Eigen::Index i = 0; i < size; ++i) {
+    const double pivot = matrix(i, i) - factor.col(i).head(i).squaredNorm();
+    if (!(pivot > 1e-14 * matrix(i, i))) continue;
+    const double root = std::sqrt(pivot);
+    for (Eigen::Index j = i; j < size; ++j)
+      factor(i, j) = (matrix(i, j) - factor.col(i).head(i).dot(factor.col(j).head(i))) / root;
+  }
+  return factor;
+}
 
 struct Descent {
   bool possible = false;  ///< the fit can be evaluated at the unknowns reached

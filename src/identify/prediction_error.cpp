@@ -17,6 +17,7 @@ namespace {
 /// Gains and noise are renewed until the noise's standard deviations change by less than this share, which
 /// moves the parameters by far less than their uncertainty.
 constexpr double kNoiseTolerance = 0.02;
+constexpr double kNegligibleTorque = 1e-8;  // a variance: lost in the noise of the readings
 constexpr double kWeightTolerance = 0.02;
 constexpr int kUndampedRounds = 3;
 constexpr int kMostRounds = 20;
@@ -29,13 +30,6 @@ struct Attempt {
   bool settled = false;
   bool white = false;  ///< the innovations
 };
-
-double change_between(const Variances& a, const Variances& b) {
-  // The torque's noise counts once it is no longer lost in that of the readings.
-  constexpr double kNegligible = 1e-8;
-  return 0.5 * std::max({std::abs(b.force / a.force - 1.0), std::abs(b.velocity / a.velocity - 1.0),
-                         std::abs(b.torque - a.torque) / (std::max(a.torque, b.torque) + kNegligible)});
-}
 
 KnownVariances known_by(const EstimatorOptions& options) {
   return {options.noise_force_N.has_value(), options.noise_velocity_rad_s.has_value(),
@@ -63,7 +57,7 @@ class PredictionErrorSearch {
       result.criterion = found.criterion;
       result.white = found.white;
       result.settled = descent.settled && reweighted < kWeightTolerance &&
-                       change_between(result.variances, found.variances) < kNoiseTolerance;
+                       change_between(result.variances, found.variances, kNegligibleTorque) < kNoiseTolerance;
       // Kinks of the filter can make the two answer each other for ever: then in ever smaller steps.
       const double share = 1.0 / std::max(1, round - kUndampedRounds);
       const auto towards = [&](double from, double to) { return from * std::pow(to / from, share); };

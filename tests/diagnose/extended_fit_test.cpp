@@ -76,7 +76,8 @@ TEST(ExtendedFit, ASignalIsFoundWhereItIsAndAsLargeAsItIs) {
   SignalColumns signals{SignalColumns::Kind::ForceReading, {}};
   for (const clampd::Run& run : runs)
     signals.rows.push_back(Eigen::MatrixXd::Ones(static_cast<Eigen::Index>(run.size()), 1));
-  const SignalScores scores = score_signals(fit_runs(runs), estimate, signals);
+  const std::vector<FitRun> fitted = fit_runs(runs);
+  const SignalScores scores = SignalScorer(fitted, estimate).score(signals);
   const double offset = scores.score[0] / scores.information(0, 0);
   EXPECT_NEAR(offset, 25.0, 4.0 / std::sqrt(scores.information(0, 0)) + 3.0);
   EXPECT_LT(scores.information(0, 0), scores.alone[0]);

@@ -82,6 +82,8 @@ struct EffectValues {
 /// the model.
 struct EffectDelays {
   int force = 0, velocity = 0, torque = 0;
+
+  bool none() const noexcept { return force == 0 && velocity == 0 && torque == 0; }
 };
 EffectDelays delays_of(const EffectValues& values);
 

@@ -19,6 +19,9 @@ struct ExtendedParameters {
   std::vector<EffectValues> effects;
 };
 
+/// Of all its effects together.
+EffectDelays delays_of(const ExtendedParameters& model);
+
 /// As a TOML file: [parameters] and [fixed] as in read_brake_parameters(), and one table
 /// [[effect]] (name, then its parameters) each. What format_extended_parameters() wrote,
 /// read_extended_parameters() reads; a file without effects is a plain parameter file.
@@ -89,5 +92,12 @@ class ExtendedBrake {
   int states_ = 2;
   std::unique_ptr<const Numbers> numbers_;
 };
+
+/// The value in a model that a place means.
+double& value_at(ExtendedParameters& model, const ExtendedBrake::Place& place);
+double value_at(const ExtendedParameters& model, const ExtendedBrake::Place& place);
+
+/// What a place of an effect (not of the base model) is.
+const EffectParameter& parameter_at(const ExtendedParameters& model, const ExtendedBrake::Place& place);
 
 }  // namespace clampd

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -85,8 +86,7 @@ StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& esti
 struct FilteredRun {
   std::vector<double> force, velocity;  ///< innovation / standard deviation; NaN where it does not count
   std::vector<double> predicted_force_N, predicted_velocity_rad_s;  ///< one step ahead
-  std::vector<double> position_rad, true_velocity_rad_s,
-      true_force_N;                                                 ///< of the model at the row, predicted
+  std::vector<double> position_rad, true_velocity_rad_s;            ///< of the model, the same
   std::vector<double> disturbance_Nm;                               ///< smoothed torque error of the row
   std::vector<double> simulated_force_N, simulated_velocity_rad_s;  ///< with the smoothed torque errors
   double log_likelihood = 0.0;
@@ -108,8 +108,21 @@ struct SignalScores {
   Eigen::MatrixXd information;
   Eigen::VectorXd alone;  ///< the information's diagonal if nothing followed
 };
-/// `blocks`: information is computed within blocks of so many neighbouring columns only (0: everywhere).
-SignalScores score_signals(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-                           const SignalColumns& signals, int blocks = 0);
+/// Scores any number of signals against runs filtered once. Keeps references to runs and estimate.
+class SignalScorer {
+ public:
+  SignalScorer(std::span<const FitRun> runs, const ExtendedEstimate& estimate);
+  ~SignalScorer();
+  SignalScorer(const SignalScorer&) = delete;
+  SignalScorer& operator=(const SignalScorer&) = delete;
+
+  /// `blocks`: information is computed within blocks of so many neighbouring columns only (0: everywhere).
+  /// All zero if the filter diverges. May be called from several threads.
+  SignalScores score(const SignalColumns& signals, int blocks = 0) const;
+
+ private:
+  struct Filtered;
+  std::unique_ptr<const Filtered> filtered_;
+};
 
 }  // namespace clampd
