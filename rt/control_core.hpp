@@ -12,6 +12,7 @@
 
 #include "clampd/base/realtime.hpp"
 #include "clampd/record/brake_port.hpp"
+#include "clampd/record/interlocks.hpp"
 #include "clampd/record/sample.hpp"
 #include "rt/check_sequence.hpp"
 #include "rt/flight_recorder.hpp"
@@ -95,10 +96,15 @@ class BasicControlCore {
   static constexpr std::size_t kReceiveCapacity = 64;
   static constexpr std::size_t kRingCapacity = 8192;
 
-  /// `port` must outlive the core.
+  /// `port` and `interlocks` must outlive the core; without interlocks, the station has none.
   explicit BasicControlCore(BrakePort& port, const SupervisorSettings& settings = {},
-                            std::size_t ring_capacity = kRingCapacity, const Policy& policy = kPolicy)
-      : port_(port), settings_(settings), supervisor_(settings, policy), ring_(ring_capacity) {}
+                            std::size_t ring_capacity = kRingCapacity, const Policy& policy = kPolicy,
+                            InterlockBoard* interlocks = nullptr)
+      : port_(port),
+        interlocks_(interlocks),
+        settings_(settings),
+        supervisor_(settings, policy),
+        ring_(ring_capacity) {}
 
   /// Everything that happens in one period. `lateness_ns` is the wake-up's, `skipped_periods` how many grid
   /// points passed without a tick just before this one. Sends exactly one command.
@@ -130,6 +136,7 @@ class BasicControlCore {
     port_.send(TorqueCommand{}, now_ns);
     end_check_on_fault();
     publish_state();
+    if (interlocks_ != nullptr) interlocks_->beat({status_.ticks, StationState::Fault});
   }
 
   SampleRing& ring() noexcept { return ring_; }
@@ -147,7 +154,8 @@ class BasicControlCore {
     inputs.now_ns = now_ns;
     inputs.skipped_periods = skipped_periods;
     inputs.health = port_.health();
-    inputs.emergency_stop = requests_.emergency_stop.load(std::memory_order_acquire);
+    if (interlocks_ != nullptr) inputs.interlocks = interlocks_->read(now_ns);
+    if (requests_.emergency_stop.load(std::memory_order_acquire)) inputs.interlocks.emergency_stop = true;
     inputs.operator_stop = requests_.stop.exchange(false, std::memory_order_acq_rel);
     inputs.clear = requests_.clear.exchange(false, std::memory_order_acq_rel);
     // Before the clear is looked at: a plan from before the fault was cleared must not start after it.
@@ -265,6 +273,7 @@ class BasicControlCore {
     }
     end_check_on_fault();
     publish_state();
+    if (interlocks_ != nullptr) interlocks_->beat({status_.ticks, supervisor_.state()});
   }
 
   void publish_state() noexcept {
@@ -282,6 +291,7 @@ class BasicControlCore {
   }
 
   BrakePort& port_;
+  InterlockBoard* const interlocks_;
   const SupervisorSettings settings_;
   Supervisor supervisor_;
   Sequence sequence_;

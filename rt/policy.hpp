@@ -42,7 +42,7 @@ struct FaultRule {
   std::string_view advice;  ///< for the technician: what happened and what to do
 };
 
-inline constexpr std::size_t kFaultCauseCount = 20;
+inline constexpr std::size_t kFaultCauseCount = 23;
 using Policy = std::array<FaultRule, kFaultCauseCount>;
 
 /// THE table of causes, indexed by the cause's number. The mechanism is in rt/supervisor.hpp.
@@ -115,6 +115,17 @@ inline constexpr Policy kPolicy{{
      ClearCondition::AtOnce,
      "Samples were lost within a run. Check the bus load and other programs on the bus, then repeat the "
      "check."},
+    // An event: the part must come out, so the fixture may stay open while the fault is cleared.
+    {FaultCause::FixtureOpen, "", FaultSeverity::Stop, FaultScope::Check, Verdict::Error,
+     ClearCondition::AtOnce,
+     "The fixture was opened during the check. Close it and keep it closed, then repeat the check."},
+    {FaultCause::InterlockLost, "InterlockBoard's lost_after_ns", FaultSeverity::Alarm, FaultScope::Ready,
+     Verdict::Error, ClearCondition::WhenGone,
+     "A line of the operator's panel cannot be read or driven. Check the GPIO chip and its wiring, then "
+     "clear "
+     "the fault."},
+    {FaultCause::StartButtonStuck, "", FaultSeverity::Stop, FaultScope::Ready, Verdict::Error,
+     ClearCondition::WhenGone, "The start button is held or stuck. Free it, then clear the fault."},
 }};
 
 constexpr const FaultRule& fault_rule(FaultCause cause) noexcept {

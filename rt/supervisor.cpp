@@ -33,6 +33,8 @@ void Supervisor::enter_init() noexcept {
 void Supervisor::raise(FaultCause cause) noexcept {
   if (cause == FaultCause::None) return;
   const FaultRule& rule = (*policy_)[static_cast<std::size_t>(cause)];
+  // An open fixture, for one, may stand as long as it likes between checks.
+  if (rule.scope == FaultScope::Check && !in_check()) return;
   good_samples_ = 0;
   if (rule.clear == ClearCondition::WhenGone) last_trouble_ns_ = now_ns_;
   switch (state_) {
@@ -40,13 +42,11 @@ void Supervisor::raise(FaultCause cause) noexcept {
       return;  // the first cause stays
     case StationState::Init:
       if (rule.scope != FaultScope::Always) {
-        if (rule.scope == FaultScope::Ready) init_trouble_ = cause;
+        init_trouble_ = cause;
         return;
       }
       break;
     case StationState::Idle:
-      if (rule.scope == FaultScope::Check) return;
-      break;
     case StationState::Armed:
     case StationState::Running:
     case StationState::Releasing:
@@ -79,8 +79,11 @@ void Supervisor::begin_tick(const TickInputs& inputs) noexcept {
     enter_init();
   }
   // Emergency stop first: should several causes meet, the operator's own is the one to report.
-  if (inputs.emergency_stop) raise(FaultCause::EmergencyStop);
+  if (inputs.interlocks.emergency_stop) raise(FaultCause::EmergencyStop);
   if (inputs.operator_stop) raise(FaultCause::OperatorStop);
+  if (inputs.interlocks.lost) raise(FaultCause::InterlockLost);
+  if (inputs.interlocks.fixture_open) raise(FaultCause::FixtureOpen);
+  if (inputs.interlocks.start_button_stuck) raise(FaultCause::StartButtonStuck);
   check_link(inputs.health);
   if (in_check() && inputs.skipped_periods > 0) {
     skipped_in_check_ += inputs.skipped_periods;

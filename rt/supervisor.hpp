@@ -6,6 +6,7 @@
 #include "clampd/base/realtime.hpp"
 #include "clampd/base/result.hpp"
 #include "clampd/record/brake_port.hpp"
+#include "clampd/record/interlocks.hpp"
 #include "clampd/record/sample.hpp"
 #include "rt/policy.hpp"
 
@@ -61,7 +62,7 @@ struct TickInputs {
   std::int64_t now_ns = 0;
   std::uint64_t skipped_periods = 0;
   PortHealth health;
-  bool emergency_stop = false;
+  Interlocks interlocks;
   bool operator_stop = false;
   bool clear = false;
 };

@@ -84,6 +84,12 @@ std::string_view to_string(FaultCause cause) noexcept {
       return "emergency-stop";
     case FaultCause::SampleLost:
       return "sample-lost";
+    case FaultCause::FixtureOpen:
+      return "fixture-open";
+    case FaultCause::InterlockLost:
+      return "interlock-lost";
+    case FaultCause::StartButtonStuck:
+      return "start-button-stuck";
   }
   return "?";
 }

@@ -11,9 +11,9 @@ namespace {
 
 TEST(Names, EveryEnumeratorHasAnOwnName) {
   std::set<std::string_view> causes;
-  for (int i = 0; i <= static_cast<int>(FaultCause::SampleLost); ++i)
+  for (int i = 0; i <= static_cast<int>(FaultCause::StartButtonStuck); ++i)
     causes.insert(to_string(static_cast<FaultCause>(i)));
-  EXPECT_EQ(causes.size(), static_cast<std::size_t>(FaultCause::SampleLost) + 1);
+  EXPECT_EQ(causes.size(), static_cast<std::size_t>(FaultCause::StartButtonStuck) + 1);
   EXPECT_EQ(causes.count("?"), 0u);
 
   std::set<std::string_view> phases;

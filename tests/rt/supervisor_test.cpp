@@ -392,9 +392,9 @@ TEST(Supervisor, FaultStaysUntilTheCauseIsGoneAndTheOperatorClears) {
 TEST(Supervisor, AnotherStandingCauseAlsoPreventsTheClear) {
   Bench bench;
   bench.reach(StationState::Running);
-  bench.inputs.emergency_stop = true;
+  bench.inputs.interlocks.emergency_stop = true;
   bench.tick();
-  bench.inputs.emergency_stop = false;
+  bench.inputs.interlocks.emergency_stop = false;
   bench.ticks(100, 0);
   EXPECT_FALSE(bench.supervisor.clearable()) << "the brake is silent";
   bench.ticks(100);

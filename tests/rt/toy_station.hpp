@@ -111,8 +111,9 @@ using ToyCore = BasicControlCore<ToySequence>;
 
 /// Port, core and virtual time together.
 struct ToyStation {
-  explicit ToyStation(const SupervisorSettings& settings = {}, std::size_t ring_capacity = 4096)
-      : core(port, settings, ring_capacity) {
+  explicit ToyStation(const SupervisorSettings& settings = {}, std::size_t ring_capacity = 4096,
+                      InterlockBoard* interlocks = nullptr)
+      : core(port, settings, ring_capacity, kPolicy, interlocks) {
     ToySequence::reset();
   }
 

@@ -260,7 +260,7 @@ INSTANTIATE_TEST_SUITE_P(
     [](const auto& input) { return input.param.label; });
 
 TEST(Judge, EveryFaultIsInvalid) {
-  for (int i = 1; i <= static_cast<int>(FaultCause::SampleLost); ++i) {
+  for (int i = 1; i <= static_cast<int>(FaultCause::StartButtonStuck); ++i) {
     CheckFacts facts = good_facts();
     facts.fault = static_cast<FaultCause>(i);
     const Judgement judgement = judged(facts);

@@ -53,6 +53,7 @@ struct RunRecord {
   std::vector<double> estimate;  ///< the seven parameters from this run alone, SI, in the table's order
   bool converged = false;
   std::string checksum_sha256;  ///< of format_run(run)
+  std::string removed;  ///< RFC 3339: when retention removed the rows of `run`; empty while they are there
 };
 
 /// Why the brake model does not explain a check's runs, as their diagnosis has it.

@@ -43,7 +43,10 @@ enum class FaultCause : std::uint8_t {
   SequenceTimeout = 16,  ///< a phase of the check did not end in time (contact not found, never at rest)
   OperatorStop = 17,
   EmergencyStop = 18,
-  SampleLost = 19,  ///< samples missing within a run
+  SampleLost = 19,        ///< samples missing within a run
+  FixtureOpen = 20,       ///< the fixture was opened during a check
+  InterlockLost = 21,     ///< a line of the panel cannot be read or driven
+  StartButtonStuck = 22,  ///< the start button is held
 };
 std::string_view to_string(FaultCause cause) noexcept;
 
