@@ -52,7 +52,8 @@ ordered_json run_json(const RunRecord& run) {
           {"fit",
            {{"force_rms_N", number(run.fit_force_rms_N)},
             {"velocity_rms_rad_s", number(run.fit_velocity_rms_rad_s)}}},
-          {"sha256", run.checksum_sha256}};
+          {"sha256", run.checksum_sha256},
+          {"removed", run.removed.empty() ? ordered_json(nullptr) : ordered_json(run.removed)}};
 }
 
 ordered_json matrix_json(const std::vector<double>& row_major) {

@@ -1,27 +1,26 @@
 #include "clampd/archive/store.hpp"
 
-#include <algorithm>
 #include <array>
 #include <cmath>
-#include <concepts>
 #include <filesystem>
 #include <limits>
 #include <optional>
-#include <type_traits>
 #include <utility>
 
-#include <SQLiteCpp/SQLiteCpp.h>
-#include <fmt/format.h>
-#include <sqlite3.h>
 #include <nlohmann/json.hpp>
 
 #include "clampd/record/checksum.hpp"
+#include "src/archive/database.hpp"
 
 namespace clampd {
 namespace {
 
+using sql::Columns;
+using sql::explained;
+using sql::Row;
+
 /// Step i brings a database of version i to i + 1 (PRAGMA user_version). Steps are never changed, only added.
-constexpr std::array<const char*, 3> kMigrations{R"sql(
+constexpr std::array<const char*, 4> kMigrations{R"sql(
 CREATE TABLE checks (
   id TEXT PRIMARY KEY NOT NULL,
   serial TEXT NOT NULL, part_number TEXT NOT NULL, batch TEXT NOT NULL,
@@ -61,109 +60,23 @@ ALTER TABLE checks ADD COLUMN noise_torque_Nm REAL;
 )sql",
                                                  R"sql(
 ALTER TABLE checks ADD COLUMN cause TEXT NOT NULL DEFAULT '';
+)sql",
+                                                 R"sql(
+CREATE INDEX checks_by_part ON checks (part_number, started);
+CREATE INDEX checks_by_batch ON checks (batch, started);
+CREATE INDEX checks_by_operator ON checks (operator, started);
+CREATE TABLE limits_revisions (
+  sha256 TEXT PRIMARY KEY NOT NULL, revision TEXT NOT NULL, author TEXT NOT NULL, changed TEXT NOT NULL,
+  file TEXT NOT NULL, contents TEXT NOT NULL, first_used TEXT NOT NULL) STRICT;
+CREATE TABLE publication (
+  check_id TEXT NOT NULL REFERENCES checks (id), channel TEXT NOT NULL, state INTEGER NOT NULL,
+  PRIMARY KEY (check_id, channel)) STRICT;
+CREATE INDEX publication_pending ON publication (channel, check_id) WHERE state = 0;
+ALTER TABLE runs ADD COLUMN bytes INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE runs ADD COLUMN removed TEXT NOT NULL DEFAULT '';
+UPDATE runs SET bytes = length(csv);
+CREATE INDEX runs_kept ON runs (check_id, bytes) WHERE removed = '';
 )sql"};
-
-tl::unexpected<Error> explained(const std::string& path, const SQLite::Exception& error) {
-  const char* advice = "";
-  switch (error.getErrorCode()) {
-    case SQLITE_BUSY:
-    case SQLITE_LOCKED:
-      advice = "; another process is writing to it: try again, or stop that process";
-      break;
-    case SQLITE_NOTADB:
-    case SQLITE_CORRUPT:
-      advice = "; it is damaged or no database of results: move it away or restore a copy";
-      break;
-    case SQLITE_READONLY:
-    case SQLITE_PERM:
-    case SQLITE_CANTOPEN:
-      advice = "; check that the folder exists and may be written to";
-      break;
-    case SQLITE_FULL:
-      advice = "; the disk is full";
-      break;
-    default:
-      break;
-  }
-  return failure(fmt::format("{}: {}{}", path, error.what(), advice));
-}
-
-/// SQLite has no NaN: it is NULL there.
-void bind_number(SQLite::Statement& statement, int index, double value) {
-  if (std::isnan(value)) {
-    statement.bind(index);
-  } else {
-    statement.bind(index, value);
-  }
-}
-
-double number(const SQLite::Column& column) {
-  return column.isNull() ? std::numeric_limits<double>::quiet_NaN() : column.getDouble();
-}
-
-/// Binds values in the order of a statement's question marks.
-class Row {
- public:
-  Row(SQLite::Database& database, const std::string& table, int values)
-      : statement_(database, fmt::format("INSERT INTO {} VALUES ({}?)", table, placeholders(values - 1))) {}
-
-  Row& operator<<(double value) {
-    bind_number(statement_, ++index_, value);
-    return *this;
-  }
-  Row& operator<<(const std::string& value) {
-    statement_.bind(++index_, value);
-    return *this;
-  }
-  template <std::integral T>
-  Row& operator<<(T value) {
-    statement_.bind(++index_, static_cast<std::int64_t>(value));
-    return *this;
-  }
-  void insert() {
-    statement_.exec();
-    statement_.reset();
-    index_ = 0;
-  }
-
- private:
-  static std::string placeholders(int count) {
-    std::string text;
-    for (int i = 0; i < count; ++i) text += "?,";
-    return text;
-  }
-
-  SQLite::Statement statement_;
-  int index_ = 0;
-};
-
-/// Takes the columns of a row in their order.
-class Columns {
- public:
-  explicit Columns(SQLite::Statement& statement) : statement_(statement) {}
-
-  Columns& operator>>(double& value) {
-    value = number(statement_.getColumn(index_++));
-    return *this;
-  }
-  Columns& operator>>(std::string& value) {
-    value = statement_.getColumn(index_++).getString();
-    return *this;
-  }
-  Columns& operator>>(bool& value) {
-    value = statement_.getColumn(index_++).getInt() != 0;
-    return *this;
-  }
-  template <class T>
-  requires(std::integral<T> || std::is_enum_v<T>) Columns& operator>>(T& value) {
-    value = static_cast<T>(statement_.getColumn(index_++).getInt64());
-    return *this;
-  }
-
- private:
-  SQLite::Statement& statement_;
-  int index_ = 0;
-};
 
 std::string numbers_text(const std::vector<double>& values) {
   nlohmann::json array = nlohmann::json::array();
@@ -250,12 +163,13 @@ void insert_details(SQLite::Database& database, const CheckRecord& r) {
                << static_cast<int>(p.verdict);
     parameters.insert();
   }
-  Row runs(database, "runs", 11);
+  Row runs(database, "runs", 13);
   for (std::size_t i = 0; i < r.runs.size(); ++i) {
     const RunRecord& run = r.runs[i];
     const std::string csv = format_run(run.run);
     runs << r.id << i << run.run.name << csv << sha256_hex(csv) << run.tracking_rms_N << run.tracking_max_N
-         << run.fit_force_rms_N << run.fit_velocity_rms_rad_s << numbers_text(run.estimate) << run.converged;
+         << run.fit_force_rms_N << run.fit_velocity_rms_rad_s << numbers_text(run.estimate) << run.converged
+         << csv.size() << std::string();
     runs.insert();
   }
   Row histogram(database, "lateness_histogram", 3);
@@ -281,18 +195,23 @@ Result<RunRecord> read_run_row(SQLite::Statement& statement, const std::string& 
   std::string name, csv, estimate;
   Columns columns(statement);
   columns >> name >> csv >> record.checksum_sha256 >> record.tracking_rms_N >> record.tracking_max_N >>
-      record.fit_force_rms_N >> record.fit_velocity_rms_rad_s >> estimate >> record.converged;
+      record.fit_force_rms_N >> record.fit_velocity_rms_rad_s >> estimate >> record.converged >>
+      record.removed;
+  record.estimate = numbers_from(estimate);
+  if (!record.removed.empty()) {
+    record.run.name = name;
+    return record;
+  }
   if (sha256_hex(csv) != record.checksum_sha256)
     return failure(fmt::format(
         "{}: {} of check {} was changed after it was recorded: its checksum does not match", path, name, id));
   Result<LoadedRun> loaded = parse_run(csv, name);
   if (!loaded) return failure(fmt::format("{}: check {}: {}", path, id, loaded.error().message));
   record.run = std::move(loaded->run);
-  record.estimate = numbers_from(estimate);
   return record;
 }
 
-Result<void> read_details(SQLite::Database& database, const std::string& path, CheckRecord& r) {
+void read_parameters(SQLite::Database& database, CheckRecord& r) {
   SQLite::Statement parameters(
       database,
       "SELECT name, unit, value, sd, lower, upper, verdict FROM parameters WHERE check_id = ? "
@@ -303,10 +222,14 @@ Result<void> read_details(SQLite::Database& database, const std::string& path, C
     Columns(parameters) >> p.name >> p.unit >> p.value >> p.sd >> p.lower >> p.upper >> p.verdict;
     r.parameters.push_back(std::move(p));
   }
+}
+
+Result<void> read_details(SQLite::Database& database, const std::string& path, CheckRecord& r) {
+  read_parameters(database, r);
   SQLite::Statement runs(
       database,
       "SELECT name, csv, sha256, tracking_rms_N, tracking_max_N, fit_force_rms_N, "
-      "fit_velocity_rms_rad_s, estimate, converged FROM runs WHERE check_id = ? ORDER BY position");
+      "fit_velocity_rms_rad_s, estimate, converged, removed FROM runs WHERE check_id = ? ORDER BY position");
   runs.bind(1, r.id);
   while (runs.executeStep()) {
     Result<RunRecord> run = read_run_row(runs, path, r.id);
@@ -339,6 +262,38 @@ Result<void> read_details(SQLite::Database& database, const std::string& path, C
   return {};
 }
 
+/// "2026-11-21T10:00Z" as a prefix of stored times, which are all in UTC.
+std::string without_zone(std::string time) {
+  if (!time.empty() && time.back() == 'Z') time.pop_back();
+  return time;
+}
+
+/// Conditions only for what is asked, so that the indices serve.
+SQLite::Statement select_checks(SQLite::Database& database, std::string_view columns,
+                                const CheckFilter& filter) {
+  std::vector<std::string> conditions;
+  std::vector<std::string> texts;
+  const auto where = [&](const char* condition, const std::string& value) {
+    if (value.empty()) return;
+    conditions.emplace_back(condition);
+    texts.push_back(value);
+  };
+  where("serial = ?", filter.serial);
+  where("part_number = ?", filter.part_number);
+  where("batch = ?", filter.batch);
+  where("operator = ?", filter.operator_name);
+  where("started >= ?", without_zone(filter.since));
+  // A bound of less than full precision includes all that begins with it.
+  where("started <= ? || '~'", without_zone(filter.until));
+  if (filter.verdict) conditions.push_back(fmt::format("verdict = {}", static_cast<int>(*filter.verdict)));
+  SQLite::Statement statement(
+      database,
+      fmt::format("SELECT {} FROM checks {}{} ORDER BY started DESC, id DESC LIMIT {}", columns,
+                  conditions.empty() ? "" : "WHERE ", fmt::join(conditions, " AND "), filter.limit));
+  for (std::size_t i = 0; i < texts.size(); ++i) statement.bind(static_cast<int>(i + 1), texts[i]);
+  return statement;
+}
+
 /// The text with LIKE's own characters taken literally, by ESCAPE '\'.
 std::string like_prefix(const std::string& text) {
   std::string pattern;
@@ -350,11 +305,6 @@ std::string like_prefix(const std::string& text) {
 }
 
 }  // namespace
-
-struct CheckStore::Database {
-  std::string path;
-  SQLite::Database handle;
-};
 
 CheckStore::CheckStore(std::unique_ptr<Database> database) : database_(std::move(database)) {}
 CheckStore::CheckStore(CheckStore&&) noexcept = default;
@@ -419,15 +369,9 @@ Result<void> CheckStore::save(const CheckRecord& record) {
 
 Result<std::vector<CheckSummary>> CheckStore::list(const CheckFilter& filter) const {
   try {
-    SQLite::Statement statement(
-        database_->handle,
-        "SELECT id, serial, started, verdict, marginal, simulated, repeats, duration_s, reason "
-        "FROM checks WHERE (?1 = '' OR serial = ?1) AND (?2 < 0 OR verdict = ?2) AND started >= ?3 "
-        "ORDER BY started DESC, id DESC LIMIT ?4");
-    statement.bind(1, filter.serial);
-    statement.bind(2, filter.verdict ? static_cast<int>(*filter.verdict) : -1);
-    statement.bind(3, filter.since);
-    statement.bind(4, filter.limit);
+    SQLite::Statement statement = select_checks(
+        database_->handle, "id, serial, started, verdict, marginal, simulated, repeats, duration_s, reason",
+        filter);
     std::vector<CheckSummary> checks;
     while (statement.executeStep()) {
       CheckSummary check;
@@ -438,6 +382,23 @@ Result<std::vector<CheckSummary>> CheckStore::list(const CheckFilter& filter) co
     return checks;
   } catch (const SQLite::Exception& exception) {
     return explained(database_->path, exception);
+  }
+}
+
+Result<std::vector<CheckRecord>> CheckStore::load_results(const CheckFilter& filter) const {
+  try {
+    SQLite::Statement statement = select_checks(database_->handle, "*", filter);
+    std::vector<CheckRecord> checks;
+    while (statement.executeStep()) {
+      CheckRecord& check = checks.emplace_back();
+      read_check(statement, check);
+      read_parameters(database_->handle, check);
+    }
+    return checks;
+  } catch (const SQLite::Exception& exception) {
+    return explained(database_->path, exception);
+  } catch (const nlohmann::json::exception& exception) {
+    return failure(fmt::format("{}: a check is damaged: {}", database_->path, exception.what()));
   }
 }
 

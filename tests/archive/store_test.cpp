@@ -100,6 +100,14 @@ TEST_F(Store, KeepsTheCause) {
   EXPECT_EQ(loaded->cause, saved.cause);
 }
 
+/// Takes a database back to schema 3.
+void undo_step_4(SQLite::Database& database) {
+  database.exec(
+      "DROP INDEX checks_by_part; DROP INDEX checks_by_batch; DROP INDEX checks_by_operator; "
+      "DROP TABLE limits_revisions; DROP TABLE publication; DROP INDEX runs_kept; "
+      "ALTER TABLE runs DROP COLUMN bytes; ALTER TABLE runs DROP COLUMN removed; PRAGMA user_version = 3");
+}
+
 TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
   {
     CheckStore store = open();
@@ -107,10 +115,11 @@ TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
   }
   {
     SQLite::Database old(path, SQLite::OPEN_READWRITE);
+    undo_step_4(old);
     old.exec("ALTER TABLE checks DROP COLUMN cause");
     old.exec("PRAGMA user_version = 2");
   }
-  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 3"));
+  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 4"));
   CheckStore store = open();
   const auto loaded = store.load("last");
   ASSERT_TRUE(loaded) << loaded.error().message;
@@ -120,6 +129,26 @@ TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
   next.cause = CauseRecord{"unexplained", {}, "stiffness", {}, "Something is wrong."};
   ASSERT_TRUE(store.save(next));
   EXPECT_EQ(store.load("20261121")->cause, next.cause);
+}
+
+TEST_F(Store, BringsResultsFromBeforeRetentionUpToDate) {
+  {
+    CheckStore store = open();
+    ASSERT_TRUE(store.save(make_check_record()));
+  }
+  {
+    SQLite::Database old(path, SQLite::OPEN_READWRITE);
+    undo_step_4(old);
+  }
+  CheckStore store = open();
+  const auto loaded = store.load("last");
+  ASSERT_TRUE(loaded) << loaded.error().message;
+  EXPECT_EQ(check_json(*loaded), check_json(make_check_record()));
+  const auto plan = store.plan_retention({.bytes = 1}, 0);
+  ASSERT_TRUE(plan) << plan.error().message;
+  std::size_t bytes = 0;
+  for (const RunRecord& run : make_check_record().runs) bytes += format_run(run.run).size();
+  EXPECT_EQ(plan->bytes, bytes) << "old runs count too";
 }
 
 TEST_F(Store, KeepsACheckWithoutRuns) {
@@ -155,7 +184,42 @@ TEST_F(Store, ListsTheNewestFirstAndFilters) {
   EXPECT_THAT(days({.verdict = Verdict::Pass}), ElementsAre("22", "21", "20"));
   EXPECT_THAT(days({.since = "2026-11-22"}), ElementsAre("23", "22"));
   EXPECT_THAT(days({.limit = 1}), ElementsAre("23"));
+  EXPECT_THAT(days({.until = "2026-11-21"}), ElementsAre("21", "20")) << "the whole day";
+  EXPECT_THAT(days({.since = "2026-11-22T00:00Z", .until = "2026-11-22T00:00:00Z"}), ElementsAre("22"));
+  EXPECT_THAT(days({.part_number = "P-17", .batch = "B-3", .operator_name = "Jo Müller"}),
+              ElementsAre("23", "22", "21", "20"));
+  EXPECT_THAT(days({.part_number = "P-1"}), ElementsAre());
+  EXPECT_THAT(days({.batch = "B-4"}), ElementsAre());
+  EXPECT_THAT(days({.operator_name = "' OR 1=1 --"}), ElementsAre());
   EXPECT_EQ(store.load("last")->id, "20261123T000000000Z-00000000");
+}
+
+TEST_F(Store, LoadsResultsWithoutRuns) {
+  CheckStore store = open();
+  const CheckRecord saved = make_check_record();
+  ASSERT_TRUE(store.save(saved));
+  const auto results = store.load_results({.serial = saved.serial});
+  ASSERT_TRUE(results) << results.error().message;
+  ASSERT_EQ(results->size(), 1u);
+  CheckRecord expected = saved;
+  expected.runs.clear();
+  expected.timing.lateness_histogram.clear();
+  EXPECT_EQ(check_json(results->front()), check_json(expected));
+}
+
+TEST_F(Store, KeepsLimitsAsTheyWereFirstUsed) {
+  CheckStore store = open();
+  const LimitsRevision first{"aa", "1", "Ada", "2026-11-20", "limits.toml", "revision = 1", "2026-11-20T00"};
+  LimitsRevision again = first;
+  again.first_used = "2026-11-21T00";
+  const LimitsRevision second{"bb", "2", "Bo", "2026-11-21", "limits.toml", "revision = 2", "2026-11-21T00"};
+  for (const LimitsRevision& limits : {first, again, second}) ASSERT_TRUE(store.save_limits(limits));
+  const auto history = store.limits_history();
+  ASSERT_TRUE(history) << history.error().message;
+  ASSERT_EQ(history->size(), 2u);
+  EXPECT_EQ(history->at(0).first_used, "2026-11-20T00");
+  EXPECT_EQ(history->at(0).contents, "revision = 1");
+  EXPECT_EQ(history->at(1).author, "Bo");
 }
 
 TEST_F(Store, FindsAShortenedIdIfItIsUnambiguous) {
@@ -210,7 +274,7 @@ TEST_F(Store, NoticesAChangedRun) {
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 3);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 4);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

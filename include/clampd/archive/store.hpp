@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "clampd/base/result.hpp"
@@ -15,8 +16,12 @@ namespace clampd {
 struct CheckFilter {
   std::string serial = {};
   std::optional<Verdict> verdict = {};
-  std::string since = {};  ///< RFC 3339 or a date: checks started then or later
+  std::string since = {};  ///< RFC 3339 in UTC or a date: checks started then or later
   std::uint32_t limit = 50;
+  std::string part_number = {};
+  std::string batch = {};
+  std::string operator_name = {};
+  std::string until = {};  ///< as `since`: checks started then or earlier; a date includes its whole day
 };
 
 /// One line of a list of checks.
@@ -31,6 +36,38 @@ struct CheckSummary {
   double duration_s = 0.0;
   std::string reason;
 };
+
+/// A limits file as the first check that was judged by it found it.
+struct LimitsRevision {
+  std::string sha256;  ///< of the contents
+  std::string revision;
+  std::string author;
+  std::string changed;  ///< date in the file, YYYY-MM-DD
+  std::string file;
+  std::string contents;
+  std::string first_used;  ///< RFC 3339, UTC: start of that check
+};
+
+/// What raw runs to keep. Results, parameters and checksums always stay.
+struct RetentionPolicy {
+  std::uint32_t days = 0;   ///< 0: however old
+  std::uint64_t bytes = 0;  ///< of all raw runs together, the oldest go first; 0: however many
+  std::vector<std::string> published =
+      {};  ///< channels that must have published a check before its runs may go
+
+  bool keeps_all() const { return days == 0 && bytes == 0; }
+};
+
+/// What was, or would be, removed.
+struct RetentionSummary {
+  std::vector<std::string> checks;  ///< ids whose raw runs go, the oldest first
+  std::uint64_t bytes = 0;          ///< of their raw runs
+  std::uint64_t kept_bytes = 0;     ///< of all others
+  /// Checks that were due but wait for a channel, by channel.
+  std::vector<std::pair<std::string, std::size_t>> waiting;
+};
+
+enum class PublicationState : std::uint8_t { Pending = 0, Published = 1 };
 
 /// The station's results: one SQLite file, write-ahead logged and synced at every commit, so that a saved
 /// check survives a power cut. Several processes may read while one writes. Not for use by two threads at
@@ -53,9 +90,29 @@ class CheckStore {
 
   Result<std::vector<CheckSummary>> list(const CheckFilter& filter) const;
 
-  /// The whole record, its runs' checksums verified. `id` may be shortened as long as it is unambiguous;
-  /// "last" is the newest check.
+  /// The same checks as whole records, but for runs, lateness histogram and flight recorder, which stay
+  /// empty.
+  Result<std::vector<CheckRecord>> load_results(const CheckFilter& filter) const;
+
+  /// The whole record, its runs' checksums verified; runs that retention removed have no rows. `id` may be
+  /// shortened as long as it is unambiguous; "last" is the newest check.
   Result<CheckRecord> load(const std::string& id) const;
+
+  /// Keeps a limits file; one that is already known (by its SHA-256) stays as it was first seen.
+  Result<void> save_limits(const LimitsRevision& limits);
+  /// All that were ever used, the first one first.
+  Result<std::vector<LimitsRevision>> limits_history() const;
+
+  /// What a channel has done with a check. A check without an entry was not published by that channel.
+  Result<void> mark_publication(const std::string& id, const std::string& channel, PublicationState state);
+
+  /// Which raw runs the policy lets go at `now` (UTC, nanoseconds since 1970). A check that a channel of the
+  /// policy has not published, or that any channel has pending, keeps its runs.
+  Result<RetentionSummary> plan_retention(const RetentionPolicy& policy, std::int64_t now_utc_ns) const;
+  /// Removes the raw runs of at most `checks_max` checks of the plan, in one transaction, each judged anew.
+  /// The file does not shrink: the next checks use its space.
+  Result<RetentionSummary> apply_retention(const RetentionPolicy& policy, std::int64_t now_utc_ns,
+                                           std::size_t checks_max);
 
  private:
   struct Database;

@@ -1,0 +1,98 @@
+#include "clampd/archive/csv.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include <fmt/format.h>
+
+namespace clampd {
+namespace {
+
+std::string cell(std::string text) {
+  if (!text.empty() && std::string_view("=+-@\t\r").find(text.front()) != std::string_view::npos)
+    text.insert(0, 1, '\'');
+  if (text.find_first_of(",\"\r\n") == std::string::npos) return text;
+  std::string quoted = "\"";
+  for (const char c : text) quoted += c == '"' ? "\"\"" : std::string(1, c);
+  return quoted + '"';
+}
+
+std::string number(double value) {
+  return std::isfinite(value) ? fmt::format("{:.10g}", value) : "";
+}
+
+using Name = std::pair<std::string, std::string>;  ///< of a parameter, and its unit
+
+std::vector<Name> parameters_of(const std::vector<CheckRecord>& checks) {
+  std::vector<Name> names;
+  for (const CheckRecord& check : checks)
+    for (const ParameterRecord& parameter : check.parameters)
+      if (const Name name{parameter.name, parameter.unit};
+          std::find(names.begin(), names.end(), name) == names.end())
+        names.push_back(name);
+  return names;
+}
+
+}  // namespace
+
+std::string format_csv(const std::vector<CheckRecord>& checks) {
+  const std::vector<Name> names = parameters_of(checks);
+  std::string text =
+      "record,serial,part_number,batch,station,fixture,operator,software_version,limits_revision,"
+      "limits_sha256,simulated,started,stopped,duration_s,repeats,verdict,marginal,reason,fault,cause,"
+      "tracking_rms_N,ticks,skipped,lost_samples,lateness_max_us";
+  for (const auto& [name, unit] : names)
+    for (const char* column : {"", " sd", " lower", " upper"})
+      text += "," + cell(fmt::format("{}{} [{}]", name, column, unit));
+  for (const auto& [name, unit] : names) text += "," + cell(name + " verdict");
+  text += "\r\n";
+  for (const CheckRecord& c : checks) {
+    std::string cause;
+    if (c.cause)
+      cause =
+          c.cause->effects.empty() ? c.cause->verdict : fmt::format("{}", fmt::join(c.cause->effects, " "));
+    std::vector<std::string> row{c.id,
+                                 c.serial,
+                                 c.part_number,
+                                 c.batch,
+                                 c.station,
+                                 c.fixture,
+                                 c.operator_name,
+                                 c.software_version,
+                                 c.limits_revision,
+                                 c.limits_sha256,
+                                 c.simulated ? "1" : "0",
+                                 c.started,
+                                 c.stopped,
+                                 number(c.duration_s),
+                                 std::to_string(c.repeats),
+                                 std::string(to_string(c.verdict)),
+                                 c.marginal ? "1" : "0",
+                                 c.reason,
+                                 std::string(to_string(c.fault)),
+                                 cause};
+    for (std::string& field : row) field = cell(std::move(field));
+    for (const double value :
+         {c.tracking_rms_N, static_cast<double>(c.timing.ticks), static_cast<double>(c.timing.skipped),
+          static_cast<double>(c.timing.lost_samples), c.timing.lateness_max_us})
+      row.push_back(number(value));
+    std::vector<std::string> verdicts;
+    for (const auto& [name, unit] : names) {
+      const auto found = std::find_if(c.parameters.begin(), c.parameters.end(),
+                                      [&n = name, &u = unit](const auto& parameter) {
+                                        return parameter.name == n && parameter.unit == u;
+                                      });
+      const bool has = found != c.parameters.end();
+      for (const double ParameterRecord::*member :
+           {&ParameterRecord::value, &ParameterRecord::sd, &ParameterRecord::lower, &ParameterRecord::upper})
+        row.push_back(has ? number((*found).*member) : "");
+      verdicts.push_back(has ? std::string(to_string(found->verdict)) : "");
+    }
+    row.insert(row.end(), verdicts.begin(), verdicts.end());
+    text += fmt::format("{}\r\n", fmt::join(row, ","));
+  }
+  return text;
+}
+
+}  // namespace clampd
