@@ -23,6 +23,7 @@ const std::map<std::string_view, Rooms>& arrows() {
       {"diagnose", {"identify", "brake", "record", "base"}},
       {"station", {"diagnose", "experiment", "identify", "brake", "record", "base"}},
       {"archive", {"record", "base"}},
+      {"quality", {"base"}},
       {"report", {"base"}},
       {"rt", {"record", "base"}},
       {"drivers/can", {"record", "base"}},
@@ -54,6 +55,7 @@ const std::vector<LibraryRule>& library_rules() {
       {"SQLiteCpp/", {"archive"}, false},
       {"sqlite3", {"archive"}, false},
       {"linux/can", {"drivers/can", "tools"}, true},
+      {"gpiod", {"drivers/gpio"}, false},
       {"httplib", {"tools"}, true},
       {"CLI/", {"tools"}, true},
   };
