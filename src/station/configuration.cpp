@@ -188,6 +188,24 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
     reader.integer("port", configuration.control.port, 1, 65'535);
     reader.path("token_file", configuration.control.token_file, folder);
   });
+  read_section(document, "retention", path, error, [&](TableReader& reader) {
+    reader.integer("raw_days", configuration.retention.raw_days, 0, 36'500);
+    reader.integer("raw_megabytes", configuration.retention.raw_megabytes, 0, 100'000'000);
+    reader.texts("published", configuration.retention.published);
+  });
+  read_section(document, "master", path, error, [&](TableReader& reader) {
+    reader.text("serial", configuration.master.serial, 80);
+    reader.path("limits", configuration.master.limits, folder);
+    reader.number("due_h", configuration.master.due_h, 0.1, 10'000.0);
+    if (configuration.master.serial.empty() != configuration.master.limits.empty())
+      reader.refuse((*parsed)["master"].node()->source(),
+                    "master needs both serial and limits: the brake, and the file with its certified values");
+  });
+  if (const toml::table* gpio = document.table("gpio"); gpio != nullptr && !error) {
+    TableReader reader(*gpio, "gpio", path, error);
+    read_gpio(reader, *gpio, path, error, configuration.gpio);
+    reader.finish();
+  }
   document.finish();
   if (error) return tl::unexpected(*error);
 

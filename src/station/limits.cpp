@@ -77,6 +77,7 @@ Result<LimitSet> parse_limits(const std::string& text, const std::string& path) 
   LimitSet limits;
   limits.file = path;
   limits.sha256 = sha256_hex(text);
+  limits.contents = text;
   document.text("revision", limits.revision);
   document.text("author", limits.author);
   document.date("changed", limits.changed);

@@ -131,6 +131,16 @@ void TableReader::choice(std::string_view key, std::string& target,
   refuse(node->source(), fmt::format("{} must be one of \"{}\"", name(key), fmt::join(choices, "\", \"")));
 }
 
+void TableReader::texts(std::string_view key, std::vector<std::string>& target) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const toml::array* array = node->as_array();
+  if (array == nullptr || !(array->empty() || array->is_homogeneous<std::string>()))
+    return refuse(node->source(), fmt::format("{} must be a list of texts in quotes", name(key)));
+  target.clear();
+  for (const toml::node& entry : *array) target.push_back(**entry.as_string());
+}
+
 void TableReader::date(std::string_view key, std::string& target) {
   const toml::node* node = find(key);
   if (node == nullptr) return;

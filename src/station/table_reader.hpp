@@ -34,6 +34,8 @@ class TableReader {
   void text(std::string_view key, std::string& target, std::size_t longest = 200);
   /// One of the given texts.
   void choice(std::string_view key, std::string& target, std::initializer_list<std::string_view> choices);
+  /// An array of texts.
+  void texts(std::string_view key, std::vector<std::string>& target);
   /// A TOML date or a string YYYY-MM-DD.
   void date(std::string_view key, std::string& target);
   /// Relative paths count from `folder`.

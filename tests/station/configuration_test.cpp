@@ -30,6 +30,27 @@ TEST(StationConfiguration, AnEmptyFileIsTheDefault) {
   EXPECT_EQ(configuration->database, default_database());
 }
 
+TEST(StationConfiguration, RetentionAndMasterBrake) {
+  const auto read = parse(
+      "[retention]\nraw_days = 90\nraw_megabytes = 500\npublished = [\"mqtt\", \"postgresql\"]\n"
+      "[master]\nserial = \"M-1\"\nlimits = \"master.toml\"\ndue_h = 8\n");
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_EQ(read->retention.raw_days, 90u);
+  EXPECT_EQ(read->retention.raw_megabytes, 500u);
+  EXPECT_THAT(read->retention.published, ElementsAre("mqtt", "postgresql"));
+  EXPECT_EQ(read->master.serial, "M-1");
+  EXPECT_EQ(read->master.limits, "/etc/clampd/master.toml");
+  EXPECT_EQ(read->master.due_h, 8.0);
+  const auto no_list = parse("[retention]\npublished = \"mqtt\"\n");
+  ASSERT_FALSE(no_list);
+  EXPECT_THAT(no_list.error().message, HasSubstr("station.toml:2:13: "));
+  EXPECT_THAT(no_list.error().message, HasSubstr("list of texts"));
+  EXPECT_FALSE(parse("[retention]\npublished = [\"mqtt\", 1]\n"));
+  const auto half = parse("[master]\nserial = \"M-1\"\n");
+  ASSERT_FALSE(half);
+  EXPECT_THAT(half.error().message, HasSubstr("both serial and limits"));
+}
+
 TEST(StationConfiguration, AnExtendedModelIsForThePredictionErrorMethod) {
   const auto extended = parse("[check]\nmodel = \"extended.toml\"\ndiagnose = false\n");
   ASSERT_TRUE(extended) << extended.error().message;
@@ -71,6 +92,10 @@ TEST(StationConfiguration, TheShippedFileSaysTheDefaults) {
   EXPECT_EQ(a.missed_ticks_max, b.missed_ticks_max);
   EXPECT_EQ(a.missed_ticks_total_max, b.missed_ticks_total_max);
   EXPECT_EQ(a.drive_reports_live, b.drive_reports_live);
+  EXPECT_EQ(shipped->retention.raw_days, defaults.retention.raw_days);
+  EXPECT_EQ(shipped->retention.raw_megabytes, defaults.retention.raw_megabytes);
+  EXPECT_EQ(shipped->retention.published, defaults.retention.published);
+  EXPECT_EQ(shipped->master.serial, defaults.master.serial);
   EXPECT_EQ(shipped->check.repeats, defaults.check.repeats);
   EXPECT_EQ(shipped->check.tare_s, defaults.check.tare_s);
   EXPECT_EQ(shipped->check.approach_velocity_rad_s, defaults.check.approach_velocity_rad_s);

@@ -36,6 +36,22 @@ std::string replaced(std::string from, const std::string& to) {
   return text.replace(at, from.size(), to);
 }
 
+TEST(Limits, SayWhatChanged) {
+  const LimitSet before = *parse_limits(kGood, "limits.toml");
+  EXPECT_EQ(before.contents, kGood);
+  EXPECT_THAT(changes_between(before, *parse_limits(replaced("\"7\"", "\"8\""), "limits.toml")),
+              ::testing::IsEmpty());
+  const LimitSet wider = *parse_limits(replaced("lower = 0.85, upper = 1.15", "lower = 0.80, upper = 1.15") +
+                                           "[effects.backlash]\nplay = {lower = 0, upper = 0.1}\n",
+                                       "limits.toml");
+  EXPECT_THAT(changes_between(before, wider),
+              ::testing::ElementsAre("k2: lower 29.92 -> 28.16 N/rad^2", "backlash.play: new, 0 to 0.1"));
+  EXPECT_THAT(changes_between(wider, before),
+              ::testing::ElementsAre("k2: lower 28.16 -> 29.92 N/rad^2", "backlash.play: no longer limited"));
+  const LimitSet surer = *parse_limits(replaced("guard_band_k = 1.5", "guard_band_k = 2"), "limits.toml");
+  EXPECT_THAT(changes_between(before, surer), ::testing::ElementsAre("guard_band_k: 1.5 -> 2"));
+}
+
 TEST(Limits, ReadsSiAndNormalised) {
   const auto limits = parse_limits(kGood, "limits.toml");
   ASSERT_TRUE(limits) << limits.error().message;

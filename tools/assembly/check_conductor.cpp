@@ -148,7 +148,13 @@ CheckOutcome CheckConductor::outcome_at(Instant now) {
 CheckRecord CheckConductor::keep(CheckRecord record) {
   session_.reset();
   if (store_ != nullptr) {
-    if (const Result<void> saved = store_->save(record); !saved) {
+    const LimitSet& limits = station_.limits;
+    const Result<void> saved =
+        store_
+            ->save_limits({limits.sha256, limits.revision, limits.author, limits.changed, limits.file,
+                           limits.contents, record.started})
+            .and_then([&] { return store_->save(record); });
+    if (!saved) {
       // A result that is not on record must not release a brake.
       record.verdict = Verdict::Error;
       record.reason = "the result could not be saved: " + saved.error().message;

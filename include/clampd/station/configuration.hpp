@@ -93,6 +93,20 @@ struct ControlSettings {
   std::string token_file;  ///< empty: none is asked for
 };
 
+/// How long raw runs stay in the archive. Results and parameters always stay.
+struct RetentionSettings {
+  std::uint32_t raw_days = 0;          ///< 0: however old
+  std::uint64_t raw_megabytes = 0;     ///< of all raw runs together; 0: however many
+  std::vector<std::string> published;  ///< channels that must have published a check before its runs go
+};
+
+/// A brake whose parameters are certified, checked to see whether the station still measures right.
+struct MasterSettings {
+  std::string serial;   ///< empty: there is none
+  std::string limits;   ///< limits file: its intervals are the certified values with their tolerance
+  double due_h = 24.0;  ///< how long a good check of the master brake is good for
+};
+
 /// Everything a station can be told. A default-constructed one works: the embedded simulated brake, nominal
 /// model.
 struct StationConfiguration {
@@ -114,6 +128,8 @@ struct StationConfiguration {
   std::string limits_file;  ///< empty: the limits that ship with the station
   std::string database;     ///< SQLite file of the results
   ControlSettings control;
+  RetentionSettings retention;
+  MasterSettings master;
 
   bool embedded() const { return can.interface.empty(); }
 };

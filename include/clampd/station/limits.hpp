@@ -30,6 +30,7 @@ struct LimitSet {
   std::string author;
   std::string changed;        ///< date, YYYY-MM-DD
   std::string sha256;         ///< of the file's text
+  std::string contents;       ///< the file's text
   double guard_band_k = 2.0;  ///< coverage factor: half width of the guard band in standard deviations
   std::array<LimitInterval, kParameterCount> intervals;  ///< in the order of the parameter table
   std::vector<EffectLimit> effects;                      ///< of an extended model
@@ -42,6 +43,10 @@ struct LimitSet {
 /// missing, named twice or unknown, a value not finite, a negative guard band.
 Result<LimitSet> read_limits(const std::string& path);
 Result<LimitSet> parse_limits(const std::string& text, const std::string& path);
+
+/// What is different in `after`, one sentence each: "k2: upper 40.48 -> 42.24 N/rad^2". Empty if both judge
+/// alike.
+std::vector<std::string> changes_between(const LimitSet& before, const LimitSet& after);
 
 /// Whether a check that estimates `model` can judge by all of these limits. Errors: a limit of an effect that
 /// the model lacks, or has more than once.
