@@ -70,6 +70,23 @@ std::vector<EstimatedParameter> base_parameters(const ExtendedEstimate& estimate
   return list;
 }
 
+/// Adds to the covariance of the model's own parameters how far they lie elsewhere under hypotheses that do
+/// as well or nearly, by their likelihood: which of them is true is not known.
+void count_alternatives(std::span<const Hypothesis* const> others, Hypothesis& chosen) {
+  using Theta = Eigen::Matrix<double, kParameterCount, 1>;
+  double weights = 1.0;
+  Eigen::Matrix<double, kParameterCount, kParameterCount> spread = decltype(spread)::Zero();
+  for (const Hypothesis* other : others) {
+    const double weight = std::exp(std::min(0.0, other->log_likelihood() - chosen.log_likelihood()));
+    const Theta apart = other->estimate.parameters.base.theta - chosen.estimate.parameters.base.theta;
+    weights += weight;
+    spread += weight * apart * apart.transpose();
+  }
+  Eigen::MatrixXd& covariance = chosen.estimate.covariance;
+  if (covariance.rows() >= spread.rows())
+    covariance.topLeftCorner<kParameterCount, kParameterCount>() += spread / weights;
+}
+
 std::vector<EstimatedParameter> effect_parameters(const ExtendedEstimate& estimate, std::size_t effect) {
   std::vector<EstimatedParameter> list;
   auto at = static_cast<Eigen::Index>(kParameterCount);
@@ -99,6 +116,18 @@ std::vector<EstimatedParameter> effect_parameters(const ExtendedEstimate& estima
   return list;
 }
 
+/// The chosen hypothesis, less sure of the seven parameters for all that does nearly as well.
+Hypothesis averaged(const Selection& selection) {
+  Hypothesis chosen = selection.chosen;
+  const std::vector<Hypothesis> choices = otherwise_chosen(chosen);
+  std::vector<const Hypothesis*> others;
+  for (const Hypothesis& other : choices) others.push_back(&other);
+  for (const Selected& selected : selection.effects)
+    for (const Candidate& rival : selected.rivals) others.push_back(&rival.fitted);
+  count_alternatives(others, chosen);
+  return chosen;
+}
+
 Rung rung_of(const Candidate& candidate, int stage) {
   Rung rung;
   rung.stage = stage;
@@ -107,6 +136,7 @@ Rung rung_of(const Candidate& candidate, int stage) {
   rung.predicted_gain = candidate.predicted_gain;
   rung.parameters = static_cast<int>(candidate.degrees);
   rung.evidence = candidate.is_fitted ? candidate.evidence : candidate.predicted_evidence;
+  rung.p_value = p_value_of(rung.evidence, static_cast<double>(effects().size()));
   if (candidate.is_fitted) {
     rung.gain = candidate.gain;
     if (candidate.fitted.possible())
@@ -253,7 +283,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   diagnosis.noise_before = base.estimate.noise;
   diagnosis.noise_after = selection.chosen.estimate.noise;
   diagnosis.parameters_before = base_parameters(base.estimate);
-  diagnosis.parameters_after = base_parameters(selection.chosen.estimate);
+  diagnosis.parameters_after = base_parameters(averaged(selection).estimate);
   progress(0.96, "judging by runs held out");
   diagnosis.gain = held_out_gain(runs, options.heldout, base, selection.chosen, diagnosis.notices);
   if (options.views) diagnosis.views = views_of(runs, base, selection.chosen);

@@ -30,7 +30,7 @@ double surprise_of_f(double statistic, double degrees, double other_degrees) {
 }
 
 double p_value_of(double surprise, double tried) {
-  return std::min(1.0, tried * std::exp(-std::max(0.0, surprise)));
+  return -std::expm1(tried * std::log1p(-std::exp(-std::max(0.0, surprise))));
 }
 
 }  // namespace clampd::diagnosing

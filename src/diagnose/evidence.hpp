@@ -12,7 +12,7 @@ double surprise_of_chi_square(double statistic, double degrees);
 /// -ln P for an F statistic.
 double surprise_of_f(double statistic, double degrees, double other_degrees);
 
-/// exp(-surprise), for `tried` candidates at once.
+/// That one of `tried` independent candidates is as surprising by chance (Šidák).
 double p_value_of(double surprise, double tried = 1.0);
 
 }  // namespace clampd::diagnosing

@@ -110,17 +110,21 @@ Start start_from(const Effect& effect, const std::vector<double>& values, const 
 
 /// What `hypothesis` makes of the readings that a model with these delays cannot use.
 double likelihood_of_unusable(const EffectDelays& delays, const Hypothesis& hypothesis) {
-  if (delays.force == 0 && delays.velocity == 0 && delays.torque == 0) return 0.0;
+  if (delays.none()) return 0.0;
   std::vector<FitRun> fewer = hypothesis.runs;
   drop_unusable(delays, fewer);
   return hypothesis.estimate.log_likelihood - forecast(fewer, hypothesis.estimate).log_likelihood;
 }
 
+/// Where the seven parameters begin.
+enum class Brake { Fitted, Nominal };
+
 Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double torque_noise_Nm,
-                       int max_iterations) {
+                       int max_iterations, Brake brake = Brake::Fitted) {
   Hypothesis extended = hypothesis;
   extended.estimate = with_effect(hypothesis.estimate, start.values);
   extended.estimate.noise.torque_Nm = torque_noise_Nm;
+  if (brake == Brake::Nominal) extended.estimate.parameters.base.theta = nominal_parameters();
   const EffectDelays delays = delays_of(start.values);
   extended.unused_log_likelihood += likelihood_of_unusable(delays, hypothesis);
   move_by(delays, extended.runs);
@@ -133,6 +137,26 @@ Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double 
 void keep_if_better(Hypothesis&& other, Hypothesis& kept) {
   if (!other.possible()) return;
   if (!kept.possible() || other.log_likelihood() > kept.log_likelihood()) kept = std::move(other);
+}
+
+/// With the choices of this effect made otherwise, one at a time.
+void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std::vector<Hypothesis>& list) {
+  const EffectValues& values = hypothesis.estimate.parameters.effects[effect];
+  const EffectInfo& info = info_of(*values.effect);
+  if (!delays_of(values).none() || info.name == "outliers") return;
+  ExtendedFitOptions options;
+  options.max_iterations = kRoughIterations;
+  for (std::size_t i = 0; i < info.parameters.size(); ++i) {
+    if (is_estimated(info.parameters[i])) continue;
+    for (const double choice : info.parameters[i].starts) {
+      Hypothesis other = hypothesis;
+      EffectValues& chosen = other.estimate.parameters.effects[effect];
+      chosen.values[i] = choice;
+      if (choice == values.values[i] || !delays_of(chosen).none()) continue;
+      other.estimate = fit_extended(other.runs, other.estimate, options);
+      if (other.possible()) list.push_back(std::move(other));
+    }
+  }
 }
 
 /// Where a torque that is periodic in the motor angle promises most.
@@ -251,9 +275,8 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   }
   const auto attempt_afresh = [&](const EffectValues& values) {
     if (!also_afresh) return;
-    Hypothesis afresh = hypothesis;
-    afresh.estimate.parameters.base.theta = nominal_parameters();
-    keep_if_better(fitted_from({values, 0.0}, afresh, kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
+    keep_if_better(fitted_from({values, 0.0}, hypothesis, kModestTorque_Nm,
+                               ExtendedFitOptions{}.max_iterations, Brake::Nominal),
                    best);
   };
   if (!candidate.starts.empty()) attempt_afresh(candidate.starts.front().values);
@@ -302,6 +325,10 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
           fitted_from({values, 0.0}, hypothesis, kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
           candidate.fitted);
   }
+  // One choice may only show its worth far from the neutral value, where another one leads.
+  std::vector<Hypothesis> others;
+  add_otherwise_chosen(candidate.fitted, candidate.fitted.estimate.parameters.effects.size() - 1, others);
+  for (Hypothesis& other : others) keep_if_better(std::move(other), candidate.fitted);
   candidate.gain = std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood());
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
@@ -318,7 +345,7 @@ Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<c
   reduced.unused_log_likelihood = hypothesis.unused_log_likelihood;
   reduced.degrees = hypothesis.degrees - degrees_of(*removed.effect, recorded.size());
   const EffectDelays delays = delays_of(removed);
-  if (delays.force || delays.velocity || delays.torque || info_of(*removed.effect).name == "outliers") {
+  if (!delays.none() || info_of(*removed.effect).name == "outliers") {
     // The readings as recorded, and then as the effects that are left see them.
     reduced.runs = fit_runs(recorded);
     reduced.unused_log_likelihood = 0.0;
@@ -328,6 +355,13 @@ Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<c
   }
   refit(reduced);
   return reduced;
+}
+
+std::vector<Hypothesis> otherwise_chosen(const Hypothesis& hypothesis) {
+  std::vector<Hypothesis> list;
+  for (std::size_t e = 0; e < hypothesis.estimate.parameters.effects.size(); ++e)
+    add_otherwise_chosen(hypothesis, e, list);
+  return list;
 }
 
 }  // namespace clampd::diagnosing

@@ -66,6 +66,10 @@ void refit(Hypothesis& hypothesis);
 /// The hypothesis without one of its effects, fitted.
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded);
 
+/// The hypothesis with one of its effects' choices made otherwise, each fitted; only choices that leave the
+/// runs as they are.
+std::vector<Hypothesis> otherwise_chosen(const Hypothesis& hypothesis);
+
 /// Spikes: readings that are far off by themselves.
 Candidate look_for_outliers(const Hypothesis& hypothesis);
 

@@ -128,14 +128,18 @@ class Selector {
   double alarm_;
 };
 
-/// Those of a judged list that do as well as `evidence`.
+/// Those of a judged list that do as well as one with this evidence and log-likelihood. How many alternatives
+/// were tried for a candidate speaks against chance, not for another candidate.
 std::vector<Candidate> rivals_among(const std::vector<Candidate>& candidates, std::string_view name,
-                                    double evidence, double alarm) {
+                                    double evidence, const Hypothesis& best, double alarm) {
   std::vector<Candidate> rivals;
-  for (const Candidate& candidate : candidates)
-    if (candidate.name() != name && candidate.is_fitted && candidate.fitted.possible() &&
-        candidate.evidence > std::max(alarm, evidence - kClearly))
+  for (const Candidate& candidate : candidates) {
+    if (candidate.name() == name || !candidate.is_fitted || !candidate.fitted.possible()) continue;
+    const bool as_likely = candidate.fitted.degrees <= best.degrees &&
+                           candidate.fitted.log_likelihood() > best.log_likelihood() - kClearly;
+    if (candidate.evidence > alarm && (as_likely || candidate.evidence > evidence - kClearly))
       rivals.push_back(candidate);
+  }
   return rivals;
 }
 
@@ -162,8 +166,9 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
     const Candidate& best = candidates.front();
     if (best.gain < kMaterial * formed) break;
     if (best.name() != "outliers") formed += best.gain;
-    selection.effects.push_back({std::string(best.name()), best.gain, best.evidence,
-                                 rivals_among(candidates, best.name(), best.evidence, selector.alarm())});
+    selection.effects.push_back(
+        {std::string(best.name()), best.gain, best.evidence,
+         rivals_among(candidates, best.name(), best.evidence, best.fitted, selector.alarm())});
     before.push_back(selection.chosen);
     selection.chosen = best.fitted;
   }
@@ -202,7 +207,7 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
       evidence = itself->evidence;
     selected.gain = gain;
     selected.evidence = evidence;
-    selected.rivals = rivals_among(candidates, name, evidence, selector.alarm());
+    selected.rivals = rivals_among(candidates, name, evidence, selection.chosen, selector.alarm());
     const bool exchange = !selected.rivals.empty() && selected.rivals.front().evidence > evidence;
     if (exchange && exchanges++ < options.most_effects) {
       // The new one takes its place at the end; what it replaces becomes its rival.
@@ -211,7 +216,7 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
       selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
       selection.effects.push_back(
           {std::string(better.name()), better.gain, better.evidence,
-           rivals_among(candidates, better.name(), better.evidence, selector.alarm())});
+           rivals_among(candidates, better.name(), better.evidence, better.fitted, selector.alarm())});
       continue;
     }
     ++e;

@@ -46,6 +46,11 @@ class ExtendedFit {
     parameters_ = unknowns_.count();
     prior_ = prior_deviations(model_);
     locals_ = 2 + static_cast<int>(shape_.free_states().size());
+    for (int local = 2; const EffectValues& effect : model_.effects) {
+      const EffectInfo& info = info_of(*effect.effect);
+      for (int i = 0; i < info.free_states; ++i, ++local)
+        if (!info.free_states_count) drawn_.push_back(local);
+    }
     centres_ = start.initial_states;
     CLAMPD_ASSERT(centres_.size() == runs.size());
     for (Evaluation* evaluation : {&now_, &before_}) {
@@ -138,6 +143,7 @@ class ExtendedFit {
     double sum = squares();
     for (const ExtendedRun& run : now_.runs)
       sum += run.log_determinant + run.readings * std::log(2.0 * std::numbers::pi);
+    for (const Eigen::MatrixXd& normal : now_.normals) sum += cost_of_drawn_states(normal);
     return -0.5 * sum;
   }
   double readings() const {
@@ -256,6 +262,25 @@ class ExtendedFit {
     return true;
   }
 
+  /// Free states that no parameter pays for differ from run to run by their prior: the likelihood is its
+  /// average over it (Laplace), or else each of them could follow the noise of its run for nothing.
+  double cost_of_drawn_states(const Eigen::MatrixXd& normal) const {
+    if (drawn_.empty()) return 0.0;
+    const Eigen::MatrixXd all = normal.block(parameters_, parameters_, locals_, locals_);
+    std::vector<int> others;
+    double cost = 0.0;
+    for (int i = 0; i < locals_; ++i) {
+      if (std::find(drawn_.begin(), drawn_.end(), i) == drawn_.end())
+        others.push_back(i);
+      else
+        cost += 2.0 * std::log(prior_[static_cast<std::size_t>(i)]);
+    }
+    return cost + log_determinant(all) - log_determinant(all(others, others));
+  }
+  static double log_determinant(const Eigen::MatrixXd& matrix) {
+    return matrix.ldlt().vectorD().array().max(1e-300).log().sum();
+  }
+
   /// Directions that the data do not show at all are left alone.
   static Eigen::VectorXd solve(const Eigen::MatrixXd& information, const Eigen::VectorXd& gradient) {
     if (gradient.size() == 0) return gradient;
@@ -271,6 +296,7 @@ class ExtendedFit {
   Unknowns unknowns_;
   std::vector<Eigen::VectorXd> starts_, centres_;
   std::vector<double> prior_;
+  std::vector<int> drawn_;  ///< those of the locals that the prior draws for each run
   int parameters_ = 0;
   int locals_ = 2;
   mutable Evaluation now_, before_;

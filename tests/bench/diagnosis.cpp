@@ -86,6 +86,7 @@ struct Score {
   double heldout_misfit = std::numeric_limits<double>::quiet_NaN();
   double worst_parameter_sds = std::numeric_limits<double>::quiet_NaN();
   std::string worst_parameter;
+  double least_p_value = 1.0;  ///< of all candidates beside the base model
   double cpu_s = 0.0, wall_s = 0.0;
 
   bool detectable() const { return request.kind == Kind::None || nats >= kDetectable_nats; }
@@ -236,7 +237,7 @@ Score diagnose_one(const Request& request, const Options& options, Diagnosis* de
   const std::vector<std::string> no_locations;
   const auto& locations = score.hidden.empty() ? no_locations : score.hidden.front().locations;
   for (const NamedEffect& effect : diagnosis->effects) {
-    score.named.push_back(effect.name);
+    if (!contains(score.named, effect.name)) score.named.push_back(effect.name);  // harmonics are one effect
     score.location_right =
         score.location_right || contains(locations, std::string(to_string(effect.location)));
   }
@@ -247,6 +248,8 @@ Score diagnose_one(const Request& request, const Options& options, Diagnosis* de
     score.unexplained_nats = blind::nats_left(*set, diagnosis->model);
     if (score.unexplained_nats < kTwins_nats) score.outcome = Outcome::TwinNamed;
   }
+  for (const Rung& rung : diagnosis->ladder)
+    if (rung.stage == 1) score.least_p_value = std::min(score.least_p_value, rung.p_value);
   if (diagnosis->gain) score.heldout_misfit = diagnosis->gain->after.misfit;
   judge_parameters(*diagnosis, set->answer.brake, score);
   if (details != nullptr) *details = std::move(*diagnosis);
@@ -331,6 +334,10 @@ void print_others(const std::vector<Score>& scores) {
   if (std::any_of(scores.begin(), scores.end(), of_kind(Kind::None))) {
     fmt::print("\nNo effect\n");
     line("adequate", share(scores, of_kind(Kind::None), verdict(DiagnosisVerdict::Adequate)), ">= 97 %");
+    for (const double level : {0.5, 0.2, 0.05})
+      line(fmt::format("least p-value of the candidates below {:g}", level).c_str(),
+           share(scores, of_kind(Kind::None), [=](const Score& s) { return s.least_p_value < level; }),
+           fmt::format("{:g} %", 100.0 * level).c_str());
     line("all seven parameters within 3 sd",
          share(scores, of_kind(Kind::None),
                [](const Score& s) { return s.worst_parameter_sds <= kStandardDeviations; }),

@@ -77,6 +77,7 @@ ordered_json ladder_json(const std::vector<Rung>& ladder) {
             {"gain", number_or_null(rung.gain)},
             {"parameter_count", rung.parameters},
             {"evidence", number_or_null(rung.evidence)},
+            {"p_value", number_or_null(rung.p_value)},
             {"parameters", parameters_json(rung.values)},
             {"chosen", rung.chosen},
             {"rival", rung.rival}};

@@ -51,7 +51,7 @@ struct EffectInfo {
   /// The first so many of them start at an unknown value in each run, near zero; the others settled.
   int free_states = 0;
   double free_state_deviation = 1e5;  ///< of their prior around that value
-  /// Whether evidence must pay for them: not where they mean nothing at the strength's neutral value.
+  /// Whether evidence pays for each as for a parameter; if not, they are drawn from their prior in each run.
   bool free_states_count = true;
   /// May be named more than once, as a harmonic: its last parameter a multiple or part of the first one's.
   bool repeatable = false;

@@ -51,6 +51,7 @@ struct Rung {
   double gain = std::numeric_limits<double>::quiet_NaN();  ///< nats, refitted; NaN if not worth it
   int parameters = 0;                                      ///< estimated for it
   double evidence = 0.0;  ///< -ln p of the candidate by itself, its alternatives counted
+  double p_value = 1.0;   ///< the same with all candidates counted
   std::vector<EstimatedParameter> values;
   bool chosen = false;
   bool rival = false;

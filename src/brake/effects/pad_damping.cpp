@@ -9,22 +9,35 @@ using Role = EffectParameter::Role;
 class PadDamping final : public EquationsOf<PadDamping> {
  public:
   const EffectInfo& info() const override {
-    static const EffectInfo kInfo{.name = "pad-damping",
-                                  .location = Location::Stiffness,
-                                  .cause = "the pads resist fast compression",
-                                  .excitation = "fast motion under load",
-                                  .parameters = {{.name = "damping",
-                                                  .unit = "N s/rad",
-                                                  .description = "force per velocity in contact",
-                                                  .lower = 0,
-                                                  .upper = 200,
-                                                  .scale = 1}}};
+    static const EffectInfo kInfo{
+        .name = "pad-damping",
+        .location = Location::Stiffness,
+        .cause = "the pads resist fast compression",
+        .excitation = "fast motion under load",
+        .parameters = {
+            {.name = "damping",
+             .unit = "N s/rad",
+             .description = "force per velocity, at 10 kN if it grows with the force",
+             .lower = 0,
+             .upper = 200,
+             .scale = 1},
+            {.name = "law",
+             .unit = "",
+             .description =
+                 "1 the same in all of the contact; 2 in proportion to the force (Hunt and Crossley)",
+             .role = Role::Choice,
+             .lower = 1,
+             .upper = 2,
+             .scale = 1,
+             .starts = {1, 2}}}};
     return kInfo;
   }
   template <class T>
   void force(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
     if (!(instant.pad_position > 0.0)) return;
-    instant.force_N += own.parameters[0] * instant.velocity;
+    T damping = own.parameters[0];
+    if (effects_detail::value_of(own.parameters[1]) > 1.5) damping *= instant.force_N / 1e4;
+    instant.force_N += damping * instant.velocity;
     if (instant.force_N < 0.0) instant.force_N = T(0.0);
   }
 };

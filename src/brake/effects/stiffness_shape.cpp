@@ -37,6 +37,7 @@ class StiffnessShape final : public EquationsOf<StiffnessShape> {
     for (int i = 1; i < static_cast<int>(effects_detail::value_of(own.parameters[1])); ++i)
       power *= compression;
     instant.force_N += own.parameters[0] * power;
+    if (instant.force_N < 0.0) instant.force_N = T(0.0);  // pads do not pull
   }
 };
 
