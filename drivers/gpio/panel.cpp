@@ -223,7 +223,7 @@ bool Panel::lose(LineRole role, int error) noexcept {
 std::string Panel::explain(FaultCause cause) const {
   switch (cause) {
     case FaultCause::EmergencyStop:
-      return fmt::format("{} is open: pressed, or its wire is off.", name(LineRole::EmergencyStop));
+      return fmt::format("{} opened: pressed, or its wire is off.", name(LineRole::EmergencyStop));
     case FaultCause::FixtureOpen:
       return fmt::format("{} opened.", name(LineRole::FixtureClosed));
     case FaultCause::StartButtonStuck:

@@ -63,6 +63,7 @@ class Panel {
   void show(bool concluding, std::optional<Verdict> last) noexcept;
 
   bool has(LineRole role) const noexcept { return settings_.line(role).used(); }
+  std::string name(LineRole role) const { return describe(settings_.line(role), role); }
   /// When the kernel saw the emergency stop open, CLOCK_MONOTONIC; 0: never.
   std::int64_t emergency_stop_opened_ns() const noexcept { return emergency_stop_opened_ns_; }
   /// Which line is behind a fault of the panel, and what it shows; empty for other causes.
@@ -84,7 +85,6 @@ class Panel {
   bool guard_works(std::int64_t now_ns) noexcept;
   void publish(bool lost, std::int64_t now_ns) noexcept;
   bool lose(LineRole role, int error) noexcept;  ///< false, for its callers
-  std::string name(LineRole role) const { return describe(settings_.line(role), role); }
 
   const PanelSettings settings_;
   SharedMemory memory_;

@@ -2,6 +2,7 @@
 
 #include <unistd.h>
 
+#include <array>
 #include <cstdlib>
 #include <filesystem>
 
@@ -61,6 +62,67 @@ void read_can(TableReader& reader, const toml::table& table, const std::string& 
     if (roles.has(role)) can.mapping.emplace_back(std::string(role), std::move(name));
   }
   roles.finish();
+}
+
+void read_line(TableReader& panel, std::string_view key, const std::string& chip, const std::string& file,
+               std::optional<Error>& error, GpioLine& line) {
+  const toml::table* table = panel.table(key);
+  if (table == nullptr) return;
+  TableReader reader(*table, fmt::format("gpio.{}", key), file, error);
+  line.chip = chip;
+  reader.text("chip", line.chip);
+  if (const toml::node* node = table->get("line"); node != nullptr && node->is_integer()) {
+    std::int64_t offset = 0;
+    reader.integer("line", offset, 0, 1023);
+    line.line = std::to_string(offset);
+  } else {
+    reader.text("line", line.line);
+  }
+  std::string active = "high";
+  reader.choice("active", active, {"high", "low"});
+  line.active_low = active == "low";
+  reader.choice("bias", line.bias, {"as-is", "disabled", "pull-up", "pull-down"});
+  reader.finish();
+  if (line.line.empty())
+    reader.refuse(table->source(),
+                  fmt::format("gpio.{} needs a line: its number on the chip, or its name", key));
+}
+
+void read_gpio(TableReader& reader, const toml::table& table, const std::string& file,
+               std::optional<Error>& error, GpioSettings& gpio) {
+  struct Role {
+    std::string_view key;
+    GpioLine GpioSettings::*line;
+  };
+  constexpr std::array kRoles{Role{"emergency_stop", &GpioSettings::emergency_stop},
+                              Role{"fixture_closed", &GpioSettings::fixture_closed},
+                              Role{"start_button", &GpioSettings::start_button},
+                              Role{"enable_relay", &GpioSettings::enable_relay},
+                              Role{"light_red", &GpioSettings::light_red},
+                              Role{"light_amber", &GpioSettings::light_amber},
+                              Role{"light_green", &GpioSettings::light_green}};
+  std::string chip;
+  reader.text("chip", chip);
+  for (const Role& role : kRoles) read_line(reader, role.key, chip, file, error, gpio.*role.line);
+  reader.number("debounce_ms", gpio.debounce_ms, 1.0, 200.0);
+  reader.number("release_ms", gpio.release_ms, 1.0, 1'000.0);
+  reader.number("start_stuck_s", gpio.start_stuck_s, 1.0, 300.0);
+  reader.number("poll_ms", gpio.poll_ms, 0.5, 5.0);
+  reader.number("lost_after_ms", gpio.lost_after_ms, 2.0, 50.0);
+  reader.number("relay_watchdog_ms", gpio.relay_watchdog_ms, 5.0, 100.0);
+  if (!gpio.used())
+    reader.refuse(table.source(), "[gpio] needs an emergency_stop: a panel without one stops nothing");
+  if (gpio.lost_after_ms < 2.0 * gpio.poll_ms)
+    reader.refuse(table.source(), "gpio.lost_after_ms must be at least twice gpio.poll_ms");
+  for (std::size_t i = 0; i < kRoles.size(); ++i) {
+    for (std::size_t j = 0; j < i; ++j) {
+      const GpioLine& a = gpio.*kRoles[i].line;
+      const GpioLine& b = gpio.*kRoles[j].line;
+      if (!a.line.empty() && a.line == b.line && a.chip == b.chip)
+        reader.refuse(table.source(),
+                      fmt::format("gpio.{} and gpio.{} are the same line", kRoles[j].key, kRoles[i].key));
+    }
+  }
 }
 
 }  // namespace

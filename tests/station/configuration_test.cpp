@@ -1,6 +1,7 @@
 #include "clampd/station/configuration.hpp"
 
 #include <cstdlib>
+#include <sstream>
 #include <string>
 
 #include <gmock/gmock.h>
@@ -119,6 +120,73 @@ TEST(StationConfiguration, TheShippedFileSaysTheDefaults) {
   EXPECT_EQ(shipped->check.trajectory, CLAMPD_SOURCE_DIR "/configs/trajectory.csv");
   EXPECT_EQ(shipped->limits_file, CLAMPD_SOURCE_DIR "/configs/limits.toml");
   EXPECT_EQ(shipped->plant_file, CLAMPD_SOURCE_DIR "/configs/plant.toml");
+}
+
+TEST(StationConfiguration, ReadsThePanel) {
+  EXPECT_FALSE(parse("")->gpio.used());
+  const auto configuration = parse(R"(
+[gpio]
+chip = "gpiochip0"
+emergency_stop = { line = 4, active = "low", bias = "pull-up" }
+fixture_closed = { chip = "gpiochip1", line = "FIXTURE" }
+enable_relay.line = 17
+release_ms = 80
+)");
+  ASSERT_TRUE(configuration) << configuration.error().message;
+  const GpioSettings& gpio = configuration->gpio;
+  EXPECT_TRUE(gpio.used());
+  EXPECT_EQ(gpio.emergency_stop.chip, "gpiochip0");
+  EXPECT_EQ(gpio.emergency_stop.line, "4");
+  EXPECT_TRUE(gpio.emergency_stop.active_low);
+  EXPECT_EQ(gpio.emergency_stop.bias, "pull-up");
+  EXPECT_EQ(gpio.fixture_closed.chip, "gpiochip1");
+  EXPECT_EQ(gpio.fixture_closed.line, "FIXTURE");
+  EXPECT_FALSE(gpio.fixture_closed.active_low);
+  EXPECT_EQ(gpio.enable_relay.line, "17");
+  EXPECT_TRUE(gpio.start_button.line.empty());
+  EXPECT_EQ(gpio.release_ms, 80.0);
+}
+
+TEST(StationConfiguration, RefusesAPanelThatCannotWork) {
+  const auto refusal = [](const std::string& text) {
+    const auto configuration = parse("[gpio]\n" + text);
+    return configuration ? std::string("accepted") : configuration.error().message;
+  };
+  EXPECT_THAT(refusal("start_button = { line = 1 }"), HasSubstr("needs an emergency_stop"));
+  EXPECT_THAT(refusal("emergency_stop = { chip = \"gpiochip0\" }"),
+              HasSubstr("gpio.emergency_stop needs a line"));
+  EXPECT_THAT(refusal("emergency_stop = { line = 4, actve = \"low\" }"), HasSubstr("actve"));
+  EXPECT_THAT(refusal("emergency_stop = { line = 4, active = \"down\" }"), HasSubstr("active"));
+  EXPECT_THAT(refusal("emergency_stop = { line = 4 }\nlight_red = { line = 4 }"),
+              HasSubstr("gpio.emergency_stop and gpio.light_red are the same line"));
+  EXPECT_THAT(refusal("emergency_stop = { line = 4 }\npoll_ms = 2\nlost_after_ms = 3"),
+              HasSubstr("lost_after_ms"));
+  EXPECT_THAT(refusal("emergency_stop = { line = -1 }"), HasSubstr("line"));
+}
+
+// What a technician uncomments has to work, and to be the defaults.
+TEST(StationConfiguration, ThePanelInTheShippedFileIsValidOnceUncommented) {
+  std::string text;
+  bool panel = false;
+  std::istringstream shipped(*read_file(CLAMPD_SOURCE_DIR "/configs/station.toml"));
+  for (std::string line; std::getline(shipped, line);) {
+    if (line == "# [gpio]") panel = true;
+    if (panel && line.rfind("# ", 0) == 0) text += line.substr(2) + "\n";
+    if (panel && line.rfind("# ", 0) != 0) break;
+  }
+  const auto configuration = parse(text);
+  ASSERT_TRUE(configuration) << configuration.error().message;
+  const GpioSettings& gpio = configuration->gpio;
+  for (const GpioLine* line : {&gpio.emergency_stop, &gpio.fixture_closed, &gpio.start_button,
+                               &gpio.enable_relay, &gpio.light_red, &gpio.light_amber, &gpio.light_green})
+    EXPECT_FALSE(line->line.empty());
+  const GpioSettings defaults;
+  EXPECT_EQ(gpio.debounce_ms, defaults.debounce_ms);
+  EXPECT_EQ(gpio.release_ms, defaults.release_ms);
+  EXPECT_EQ(gpio.start_stuck_s, defaults.start_stuck_s);
+  EXPECT_EQ(gpio.poll_ms, defaults.poll_ms);
+  EXPECT_EQ(gpio.lost_after_ms, defaults.lost_after_ms);
+  EXPECT_EQ(gpio.relay_watchdog_ms, defaults.relay_watchdog_ms);
 }
 
 TEST(StationConfiguration, ReadsEveryKindOfKey) {

@@ -22,12 +22,18 @@ class ToyStation final : public ControlTarget {
   control::StationStatus status() override {
     control::StationStatus status;
     status.state = "IDLE";
+    status.next_serial = next_serial;
+    status.panel = {{"gpiochip0 line 4 (emergency stop)", "emergency stop", "closed"}};
     return status;
   }
   Result<std::uint64_t> start(const CheckRequest& request) override {
     if (request.serial == "BUSY") return failure("a check is under way");
     serial = request.serial;
     return 7;
+  }
+  Result<void> next(const CheckRequest& request) override {
+    next_serial = request.serial;
+    return {};
   }
   control::CheckProgress progress(bool) override {
     control::CheckProgress progress;
@@ -46,6 +52,7 @@ class ToyStation final : public ControlTarget {
   Result<nlohmann::ordered_json> result(const std::string& id) override { return failure("no check " + id); }
 
   std::string serial;
+  std::string next_serial;
   bool stopped = false;
 };
 
@@ -81,6 +88,22 @@ TEST_F(ControlApi, CarriesACheckFromRequestToProgress) {
   EXPECT_EQ(status->state, "IDLE");
 }
 
+TEST_F(ControlApi, TellsTheStationWhatTheStartButtonChecks) {
+  CheckRequest request;
+  request.serial = "S-2";
+  const auto taken = client().next(request);
+  ASSERT_TRUE(taken) << taken.error().message;
+  const auto status = client().status();
+  ASSERT_TRUE(status) << status.error().message;
+  EXPECT_EQ(status->next_serial, "S-2");
+  ASSERT_EQ(status->panel.size(), 1U);
+  EXPECT_EQ(status->panel[0].state, "closed");
+  EXPECT_TRUE(station_.serial.empty()) << "nothing moves yet";
+  request.serial = "";
+  EXPECT_FALSE(client().next(request));
+  EXPECT_EQ(station_.next_serial, "S-2");
+}
+
 TEST_F(ControlApi, GivesRefusalsInTheStationsWords) {
   CheckRequest request;
   request.serial = "BUSY";
@@ -90,7 +113,7 @@ TEST_F(ControlApi, GivesRefusalsInTheStationsWords) {
 
 TEST_F(ControlApi, MovesNothingWithoutTheToken) {
   httplib::Client http = this->http();
-  for (const char* path : {"/v1/checks", "/v1/stop", "/v1/clear"}) {
+  for (const char* path : {"/v1/checks", "/v1/next", "/v1/stop", "/v1/clear"}) {
     const auto none = http.Post(path, R"({"serial":"X"})", "application/json");
     ASSERT_TRUE(none);
     EXPECT_EQ(none->status, 401) << path;
@@ -100,6 +123,7 @@ TEST_F(ControlApi, MovesNothingWithoutTheToken) {
     EXPECT_EQ(wrong->status, 401) << path;
   }
   EXPECT_TRUE(station_.serial.empty());
+  EXPECT_TRUE(station_.next_serial.empty());
   EXPECT_FALSE(station_.stopped);
 }
 

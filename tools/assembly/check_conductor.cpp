@@ -94,9 +94,10 @@ std::optional<CheckRecord> CheckConductor::pump(Instant now) {
     if (busy() && sample.phase != CheckPhase::None) session_->consume(sample);
   if (finished) {
     if (mode_ == WorkerMode::Synchronous) return keep(session_->finish(outcome_at(now)));
-    conclusion_ = std::async(std::launch::async, [session = session_.get(), outcome = outcome_at(now)]() mutable {
-      return session->finish(std::move(outcome));
-    });
+    conclusion_ =
+        std::async(std::launch::async, [session = session_.get(), outcome = outcome_at(now)]() mutable {
+          return session->finish(std::move(outcome));
+        });
     return std::nullopt;
   }
   if (busy() && !deadline_passed_ &&
@@ -123,6 +124,8 @@ CheckOutcome CheckConductor::outcome_at(Instant now) {
     const rt::FaultRule& rule = rt::fault_rule(outcome.fault);
     outcome.fault_verdict = rule.verdict;
     outcome.fault_text = std::string(rule.advice);
+    if (const std::string detail = explain_ ? explain_(outcome.fault) : ""; !detail.empty())
+      outcome.fault_text += " " + detail;
     // Silence is noticed before the kernel says why: whoever reads the record wants to know.
     if (const LinkState link = core_.health().link; link != LinkState::Up)
       outcome.fault_text +=

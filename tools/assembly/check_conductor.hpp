@@ -1,9 +1,11 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <future>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "clampd/archive/store.hpp"
 #include "clampd/record/check_record.hpp"
@@ -29,6 +31,10 @@ class CheckConductor {
   /// The core must not run any more, or no check be under way.
   ~CheckConductor();
 
+  /// What else is known of a fault, such as the line behind it: goes into the record's reason. Empty:
+  /// nothing.
+  void explain_faults_by(std::function<std::string(FaultCause)> explain) { explain_ = std::move(explain); }
+
   /// Starts a check. Errors: the request is not valid, the station is not IDLE (with its fault), a check is
   /// under way.
   Result<void> begin(const CheckRequest& request, Instant now);
@@ -52,6 +58,7 @@ class CheckConductor {
   rt::ControlCore& core_;
   CheckStore* store_;
   WorkerMode mode_;
+  std::function<std::string(FaultCause)> explain_;
   rt::CheckPlan plan_;
   std::unique_ptr<CheckSession> session_;
   std::string serial_;

@@ -97,13 +97,54 @@ rt::SupervisorSettings supervisor_settings(const clampd::SupervisorSettings& con
   settings.startup_timeout_ns = nanoseconds(configured.start_up_ms);
   settings.stale_ns = nanoseconds(configured.stale_after_ms);
   settings.corrupt_tolerated = static_cast<std::uint64_t>(configured.corrupt_frames_max);
+  settings.frozen_tolerated = static_cast<std::uint64_t>(configured.frozen_frames_max);
+  settings.implausible_tolerated = static_cast<std::uint64_t>(configured.implausible_frames_max);
+  settings.send_failures_tolerated = static_cast<std::uint64_t>(configured.send_failures_max);
   settings.force_limit_N = configured.over_force_N;
   settings.speed_limit_rad_s = configured.over_speed_rad_s;
   settings.torque_limit_Nm = configured.over_torque_Nm;
   settings.travel_limit_rad = configured.over_travel_rad;
+  settings.plausible_force_N = configured.plausible_force_N;
+  settings.plausible_velocity_rad_s = configured.plausible_velocity_rad_s;
+  settings.plausible_torque_Nm = configured.plausible_torque_Nm;
+  settings.drive_reports_live = configured.drive_reports_live;
   settings.skipped_in_a_row_tolerated = static_cast<std::uint64_t>(configured.missed_ticks_max);
   settings.skipped_per_check_tolerated = static_cast<std::uint64_t>(configured.missed_ticks_total_max);
   return settings;
+}
+
+gpio::LineSettings panel_line(const GpioLine& configured) {
+  gpio::LineSettings line{configured.chip, configured.line, configured.active_low, gpio::Bias::AsIs};
+  if (configured.bias == "disabled") line.bias = gpio::Bias::Disabled;
+  if (configured.bias == "pull-up") line.bias = gpio::Bias::PullUp;
+  if (configured.bias == "pull-down") line.bias = gpio::Bias::PullDown;
+  return line;
+}
+
+gpio::PanelSettings panel_settings(const StationConfiguration& configuration) {
+  const GpioSettings& configured = configuration.gpio;
+  const auto nanoseconds = [](double milliseconds) {
+    return static_cast<std::int64_t>(milliseconds * static_cast<double>(kNanosecondsPerMillisecond));
+  };
+  gpio::PanelSettings panel;
+  const auto set = [&panel](gpio::LineRole role, const GpioLine& line) {
+    panel.lines[static_cast<std::size_t>(role)] = panel_line(line);
+  };
+  set(gpio::LineRole::EmergencyStop, configured.emergency_stop);
+  set(gpio::LineRole::FixtureClosed, configured.fixture_closed);
+  set(gpio::LineRole::StartButton, configured.start_button);
+  set(gpio::LineRole::EnableRelay, configured.enable_relay);
+  set(gpio::LineRole::LightRed, configured.light_red);
+  set(gpio::LineRole::LightAmber, configured.light_amber);
+  set(gpio::LineRole::LightGreen, configured.light_green);
+  panel.debounce_ns = nanoseconds(configured.debounce_ms);
+  panel.release_ns = nanoseconds(configured.release_ms);
+  panel.stuck_after_ns = nanoseconds(1e3 * configured.start_stuck_s);
+  panel.poll_ns = nanoseconds(configured.poll_ms);
+  panel.lost_after_ns = nanoseconds(configured.lost_after_ms);
+  panel.relay_watchdog_ns = nanoseconds(configured.relay_watchdog_ms);
+  panel.loop_priority = configuration.realtime.priority;
+  return panel;
 }
 
 rt::CheckPlan check_plan(const StationConfiguration& configuration, Reference reference) {
@@ -169,6 +210,7 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
 
   station.supervisor = supervisor_settings(configuration.supervisor);
   if (const Result<void> valid = station.supervisor.validate(); !valid) return tl::unexpected(valid.error());
+  if (configuration.gpio.used()) station.panel = panel_settings(configuration);
   return station;
 }
 

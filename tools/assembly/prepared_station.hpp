@@ -9,6 +9,7 @@
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"
 #include "drivers/can/codec.hpp"
+#include "drivers/gpio/panel.hpp"
 #include "drivers/sim/plant_configuration.hpp"
 #include "rt/check_sequence.hpp"
 #include "rt/supervisor.hpp"
@@ -23,6 +24,7 @@ struct PreparedStation {
   can::ProtocolCodec codec;
   rt::CheckPlan plan;  ///< with the configured number of repeats
   rt::SupervisorSettings supervisor;
+  std::optional<gpio::PanelSettings> panel;
   std::string trajectory_sha256;
 };
 

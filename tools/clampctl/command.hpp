@@ -4,6 +4,7 @@
 
 #include <CLI/App.hpp>
 
+#include "clampd/station/session.hpp"
 #include "tools/cli/exit_code.hpp"
 
 namespace clampd::ctl {
@@ -13,6 +14,9 @@ struct CommonOptions {
   std::string config;  ///< station configuration; empty: the installed one if there is one
 };
 
+/// What a check is asked for with: serial, operator, part number, batch.
+void add_request_options(CLI::App& command, CheckRequest& request);
+
 /// Each command declares its own options on `app` and leaves its exit code in `exit_code` when it runs.
 void add_run_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_identify_command(CLI::App& app, int& exit_code);
@@ -21,7 +25,7 @@ void add_design_command(CLI::App& app, int& exit_code);
 void add_simulate_command(CLI::App& app, int& exit_code);
 void add_reproduce_command(CLI::App& app, int& exit_code);
 void add_station_commands(CLI::App& app, const CommonOptions& common,
-                          int& exit_code);  ///< status, stop, clear
+                          int& exit_code);  ///< status, next, stop, clear
 void add_results_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_doctor_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 

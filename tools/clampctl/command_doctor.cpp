@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "drivers/can/socketcan.hpp"
+#include "drivers/gpio/lines.hpp"
 #include "rt/readiness.hpp"
 #include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
@@ -72,6 +73,25 @@ ReadinessFact examine_database(const std::string& database) {
           space.available >= kEnough ? "" : "a check takes about 1 MB; make room"};
 }
 
+void examine_panel(const gpio::PanelSettings& panel, std::vector<ReadinessFact>& facts) {
+  for (std::size_t i = 0; i < gpio::kLineRoles; ++i) {
+    const auto role = static_cast<gpio::LineRole>(i);
+    if (!panel.lines[i].used()) continue;
+    const std::string name = fmt::format("panel, {}", to_string(role));
+    const Result<gpio::LineInfo> info = gpio::inspect_line(panel.lines[i], role);
+    if (!info) {
+      facts.push_back({name, ReadinessStatus::Fail, "not usable", info.error().message});
+      continue;
+    }
+    const bool ours = info->consumer.empty() || info->consumer == "clampd";
+    facts.push_back(
+        {name, ours ? ReadinessStatus::Ok : ReadinessStatus::Fail,
+         fmt::format("{} line {}{}{}", info->chip, info->offset, info->name.empty() ? "" : " " + info->name,
+                     info->consumer.empty() ? "" : ", in use by " + info->consumer),
+         ours ? "" : "end that program, or name another line in [gpio]"});
+  }
+}
+
 void print_facts(const std::vector<ReadinessFact>& facts) {
   const bool colour = cli::colours_wanted();
   for (const ReadinessFact& fact : facts) {
@@ -101,6 +121,7 @@ int doctor(const DoctorOptions& options, const CommonOptions& common) {
   std::vector<ReadinessFact> facts = rt::examine_readiness(readiness);
   facts.push_back(examine_can(interface, configuration->can.bitrate));
   facts.push_back(examine_load(station->codec, configuration->can.bitrate));
+  if (station->panel) examine_panel(*station->panel, facts);
   facts.push_back(examine_database(configuration->database));
 
   bool fit = true;

@@ -177,17 +177,21 @@ int run(const RunOptions& options, const CommonOptions& common) {
 
 }  // namespace
 
+void add_request_options(CLI::App& command, CheckRequest& request) {
+  command.add_option("--serial", request.serial, "serial number of the brake")->required();
+  command
+      .add_option("--repeats", request.repeats,
+                  "how often to run the trajectory (default: as configured, 20)")
+      ->check(CLI::Range(1, 200));
+  command.add_option("--operator", request.operator_name, "who checks");
+  command.add_option("--part-number", request.part_number, "part number of the brake");
+  command.add_option("--batch", request.batch, "batch of the brake");
+}
+
 void add_run_command(CLI::App& app, const CommonOptions& common, int& exit_code) {
   auto options = std::make_shared<RunOptions>();
   CLI::App* command = app.add_subcommand("run", "check one brake and say pass or fail");
-  command->add_option("--serial", options->request.serial, "serial number of the brake")->required();
-  command
-      ->add_option("--repeats", options->request.repeats,
-                   "how often to run the trajectory (default: as configured, 20)")
-      ->check(CLI::Range(1, 200));
-  command->add_option("--operator", options->request.operator_name, "who checks");
-  command->add_option("--part-number", options->request.part_number, "part number of the brake");
-  command->add_option("--batch", options->request.batch, "batch of the brake");
+  add_request_options(*command, options->request);
   command
       ->add_option(
           "--simulated-brake", options->simulated_brake,

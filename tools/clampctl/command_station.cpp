@@ -49,6 +49,10 @@ void print_status(const control::StationStatus& status) {
   fmt::print("  loop       {} ticks, {} skipped, lateness avg {:.0f} µs, max {:.0f} µs{}\n", status.ticks,
              status.skipped, status.lateness_avg_us, status.lateness_max_us,
              status.realtime ? "" : " (not a real-time thread)");
+  for (std::size_t i = 0; i < status.panel.size(); ++i)
+    fmt::print("  {:<10} {:<7} {}\n", i == 0 ? "panel" : "", status.panel[i].state, status.panel[i].line);
+  if (!status.next_serial.empty()) fmt::print("  next       {}\n", status.next_serial);
+  if (!status.notice.empty()) fmt::print("  notice     {}\n", status.notice);
   fmt::print("  software   {}\n", status.version);
 }
 
@@ -67,6 +71,17 @@ void add_station_commands(CLI::App& app, const CommonOptions& common, int& exit_
       else
         print_status(*now);
       return static_cast<int>(cli::kSuccess);
+    });
+  });
+
+  auto request = std::make_shared<CheckRequest>();
+  CLI::App* next =
+      app.add_subcommand("next", "the brake that the start button of the operator's panel checks");
+  add_request_options(*next, *request);
+  next->callback([request, &common, &exit_code] {
+    exit_code = with_daemon(common, [&](const control::Client& daemon) {
+      const Result<void> taken = daemon.next(*request);
+      return taken ? static_cast<int>(cli::kSuccess) : report(taken.error(), cli::kStation);
     });
   });
 

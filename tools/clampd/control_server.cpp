@@ -3,6 +3,7 @@
 #include <sys/stat.h>
 
 #include <charconv>
+#include <optional>
 #include <random>
 
 #include <fmt/format.h>
@@ -42,6 +43,22 @@ std::string random_token() {
   std::string token;
   for (int i = 0; i < 8; ++i) token += fmt::format("{:08x}", entropy());
   return token;
+}
+
+/// Nothing, and the refusal as response, if the body is no valid check request.
+std::optional<CheckRequest> read_request(const httplib::Request& request, httplib::Response& response) {
+  CheckRequest check;
+  try {
+    check = nlohmann::json::parse(request.body).get<CheckRequest>();
+  } catch (const nlohmann::json::exception& mistake) {
+    refuse(response, 400, std::string("the request is not a check request: ") + mistake.what());
+    return std::nullopt;
+  }
+  if (const Result<void> valid = validate(check); !valid) {
+    refuse(response, 400, valid.error().message);
+    return std::nullopt;
+  }
+  return check;
 }
 
 bool same_token(const std::string& given, const std::string& expected) {
@@ -112,19 +129,19 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& targe
   });
   server.Post("/v1/checks", [&target, &http](const httplib::Request& request, httplib::Response& response) {
     if (!http.may_command(request, response)) return;
-    CheckRequest check;
-    try {
-      check = nlohmann::json::parse(request.body).get<CheckRequest>();
-    } catch (const nlohmann::json::exception& mistake) {
-      return refuse(response, 400, std::string("the request is not a check request: ") + mistake.what());
-    }
-    if (const Result<void> valid = validate(check); !valid)
-      return refuse(response, 400, valid.error().message);
-    const Result<std::uint64_t> started = target.start(check);
+    const std::optional<CheckRequest> check = read_request(request, response);
+    if (!check) return;
+    const Result<std::uint64_t> started = target.start(*check);
     answer_or_refuse(response, started.map([](std::uint64_t number) {
       return nlohmann::ordered_json{{"check", number}};
     }),
                      409);
+  });
+  server.Post("/v1/next", [&target, &http](const httplib::Request& request, httplib::Response& response) {
+    if (!http.may_command(request, response)) return;
+    const std::optional<CheckRequest> check = read_request(request, response);
+    if (!check) return;
+    answer_or_refuse(response, target.next(*check).map([] { return nlohmann::ordered_json::object(); }), 409);
   });
   server.Post("/v1/stop", [&target, &http](const httplib::Request& request, httplib::Response& response) {
     if (!http.may_command(request, response)) return;

@@ -16,6 +16,7 @@ class ControlTarget {
   virtual ~ControlTarget() = default;
   virtual control::StationStatus status() = 0;
   virtual Result<std::uint64_t> start(const CheckRequest& request) = 0;
+  virtual Result<void> next(const CheckRequest& request) = 0;
   virtual control::CheckProgress progress(bool colour) = 0;
   virtual Result<void> stop() = 0;
   virtual Result<void> clear() = 0;

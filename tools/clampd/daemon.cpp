@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <thread>
+#include <utility>
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
@@ -25,15 +26,23 @@ assembly::Instant instant_now() {
 
 }  // namespace
 
-Daemon::Daemon(const assembly::PreparedStation& station, can::SocketCanBus& bus, CheckStore& store)
+Daemon::Daemon(const assembly::PreparedStation& station, can::SocketCanBus& bus, CheckStore& store,
+               gpio::Panel* panel)
     : station_(station),
       bus_(bus),
       store_(store),
+      panel_(panel),
       port_(bus, station.codec),
-      core_(port_, station.supervisor),
-      conductor_(station, core_, &store, WorkerMode::Background) {}
+      core_(port_, station.supervisor, rt::ControlCore::kRingCapacity, rt::kPolicy,
+            panel == nullptr ? nullptr : &panel->board()),
+      conductor_(station, core_, &store, WorkerMode::Background) {
+  if (panel_ != nullptr)
+    conductor_.explain_faults_by([panel](FaultCause cause) { return panel->explain(cause); });
+}
 
 Result<void> Daemon::start() {
+  if (panel_ != nullptr)
+    if (Result<void> reading = panel_->start(); !reading) return reading;
   const RealtimeSettings& realtime = station_.configuration.realtime;
   return loop_.start(rt::CyclicThreadSettings{realtime.priority, realtime.cpu, realtime.lock_memory}, core_);
 }
@@ -61,6 +70,33 @@ void Daemon::pump() {
   }
   report_state_changes();
   reopen_bus_if_gone();
+  serve_panel();
+}
+
+void Daemon::serve_panel() {
+  if (panel_ == nullptr) return;
+  panel_->show(conductor_.concluding(),
+               last_record_ ? std::optional<Verdict>(last_record_->verdict) : std::nullopt);
+  if (!panel_->take_start_press()) return;
+  const Result<std::uint64_t> begun =
+      next_
+          ? begin(*next_)
+          : failure(
+                "no serial number is known: enter or scan one (`clampctl next --serial`), then press start");
+  if (begun) {
+    next_.reset();
+    notice_.clear();
+  } else {
+    notice_ = "start button: " + begun.error().message;
+    spdlog::warn("{}", notice_);
+  }
+}
+
+std::string Daemon::fault_text(FaultCause fault) const {
+  std::string text(rt::fault_rule(fault).advice);
+  const std::string detail = panel_ == nullptr ? "" : panel_->explain(fault);
+  if (!detail.empty()) text += " " + detail;
+  return text;
 }
 
 void Daemon::report_state_changes() {
@@ -68,8 +104,13 @@ void Daemon::report_state_changes() {
   if (state == reported_state_) return;
   reported_state_ = state;
   if (state == StationState::Fault) {
-    const rt::FaultRule& rule = rt::fault_rule(core_.status().fault.load());
-    spdlog::error("FAULT {}: {}", to_string(rule.cause), rule.advice);
+    const FaultCause fault = core_.status().fault.load();
+    spdlog::error("FAULT {}: {}", to_string(fault), fault_text(fault));
+    if (fault == FaultCause::EmergencyStop && panel_ != nullptr && panel_->emergency_stop_opened_ns() > 0)
+      spdlog::info(
+          "the tick that stopped came {:.3f} ms after the contact opened",
+          static_cast<double>(core_.status().fault_time_ns.load() - panel_->emergency_stop_opened_ns()) *
+              1e-6);
   } else {
     spdlog::info("station is {}", to_string(state));
   }
@@ -91,7 +132,10 @@ control::StationStatus Daemon::status() {
   status.state = std::string(to_string(board.state.load()));
   const FaultCause fault = board.fault.load();
   status.fault = std::string(to_string(fault));
-  if (fault != FaultCause::None) status.fault_text = std::string(rt::fault_rule(fault).advice);
+  if (fault != FaultCause::None) {
+    status.fault_text = fault_text(fault);
+    status.fault_state = std::string(to_string(board.fault_state.load()));
+  }
   status.clearable = board.clearable.load();
   status.phase = std::string(to_string(board.phase.load()));
   status.repeat = board.repeat.load();
@@ -113,11 +157,33 @@ control::StationStatus Daemon::status() {
                                                 static_cast<double>(status.ticks) * kPeriod_s);
   status.simulated = station_.configuration.simulated_brake;
   status.realtime = station_.configuration.realtime.priority > 0;
+  if (next_) status.next_serial = next_->serial;
+  status.notice = notice_;
+  if (panel_ != nullptr)
+    for (gpio::LineReport& line : panel_->report())
+      status.panel.push_back({std::move(line.line), std::move(line.role), std::move(line.state)});
   return status;
 }
 
 Result<std::uint64_t> Daemon::start(const CheckRequest& request) {
   const std::lock_guard lock(mutex_);
+  return begin(request);
+}
+
+Result<void> Daemon::next(const CheckRequest& request) {
+  if (Result<void> valid = validate(request); !valid) return valid;
+  const std::lock_guard lock(mutex_);
+  next_ = request;
+  notice_.clear();
+  spdlog::info("next is {}", request.serial);
+  return {};
+}
+
+Result<std::uint64_t> Daemon::begin(const CheckRequest& request) {
+  if (panel_ != nullptr && core_.status().state.load() == StationState::Idle &&
+      panel_->board().read(monotonic_now_ns()).fixture_open)
+    return failure(
+        fmt::format("the fixture is open: close it ({})", panel_->name(gpio::LineRole::FixtureClosed)));
   if (const Result<void> begun = conductor_.begin(request, instant_now()); !begun)
     return tl::unexpected(begun.error());
   last_record_.reset();
@@ -152,7 +218,7 @@ Result<void> Daemon::clear() {
   const rt::FaultRule& rule = rt::fault_rule(board.fault.load());
   if (!board.clearable.load())
     return failure(fmt::format("the fault cannot be cleared yet, its cause is still there ({}): {}",
-                               to_string(rule.cause), rule.advice));
+                               to_string(rule.cause), fault_text(rule.cause)));
   core_.requests().clear.store(true, std::memory_order_release);
   for (int waited_ms = 0; waited_ms < 100; ++waited_ms) {
     if (board.state.load() != StationState::Fault) {
@@ -162,7 +228,7 @@ Result<void> Daemon::clear() {
     std::this_thread::sleep_for(1ms);
   }
   return failure(fmt::format("the fault came back at once ({}): {}", to_string(board.fault.load()),
-                             rt::fault_rule(board.fault.load()).advice));
+                             fault_text(board.fault.load())));
 }
 
 Result<nlohmann::ordered_json> Daemon::results(const std::string& serial, const std::string& verdict,

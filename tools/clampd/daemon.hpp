@@ -3,11 +3,13 @@
 #include <atomic>
 #include <mutex>
 #include <optional>
+#include <string>
 
 #include "clampd/archive/store.hpp"
 #include "clampd/base/result.hpp"
 #include "drivers/can/can_brake.hpp"
 #include "drivers/can/socketcan.hpp"
+#include "drivers/gpio/panel.hpp"
 #include "rt/control_core.hpp"
 #include "rt/cyclic_thread.hpp"
 #include "tools/assembly/check_conductor.hpp"
@@ -20,8 +22,9 @@ namespace clampd::daemon {
 /// control API asks for. Everything here runs outside of the real-time thread.
 class Daemon final : public ControlTarget {
  public:
-  /// `station`, `bus` and `store` must outlive this.
-  Daemon(const assembly::PreparedStation& station, can::SocketCanBus& bus, CheckStore& store);
+  /// `station`, `bus`, `store` and `panel` must outlive this. Without a panel the station has no interlocks.
+  Daemon(const assembly::PreparedStation& station, can::SocketCanBus& bus, CheckStore& store,
+         gpio::Panel* panel);
 
   /// Starts the loop thread. Errors: no right to real time, with what to change.
   Result<void> start();
@@ -32,6 +35,7 @@ class Daemon final : public ControlTarget {
 
   control::StationStatus status() override;
   Result<std::uint64_t> start(const CheckRequest& request) override;
+  Result<void> next(const CheckRequest& request) override;
   control::CheckProgress progress(bool colour) override;
   Result<void> stop() override;
   Result<void> clear() override;
@@ -42,11 +46,15 @@ class Daemon final : public ControlTarget {
  private:
   void pump();
   void report_state_changes();
+  void serve_panel();
+  Result<std::uint64_t> begin(const CheckRequest& request);
+  std::string fault_text(FaultCause fault) const;
   void reopen_bus_if_gone();
 
   const assembly::PreparedStation& station_;
   can::SocketCanBus& bus_;
   CheckStore& store_;
+  gpio::Panel* panel_;
   can::CanBrake port_;
   rt::ControlCore core_;
   rt::CyclicThread loop_;
@@ -55,6 +63,8 @@ class Daemon final : public ControlTarget {
   assembly::CheckConductor conductor_;
   std::uint64_t check_number_ = 0;
   std::optional<CheckRecord> last_record_;
+  std::optional<CheckRequest> next_;  ///< what the start button checks
+  std::string notice_;                ///< why the start button did nothing
   StationState reported_state_ = StationState::Init;
 };
 

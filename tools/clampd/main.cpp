@@ -1,11 +1,14 @@
 #include <atomic>
 #include <csignal>
+#include <memory>
+#include <utility>
 
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 #include <CLI/CLI.hpp>
 
 #include "clampd/base/version.hpp"
+#include "drivers/gpio/panel.hpp"
 #include "tools/clampd/daemon.hpp"
 #include "tools/cli/exit_code.hpp"
 
@@ -37,6 +40,13 @@ int run(const std::string& file) {
          ". For a simulated brake without CAN, `clampctl run` needs no daemon"});
   const Result<assembly::PreparedStation> station = assembly::prepare_station(*configuration);
   if (!station) return refuse(station.error());
+  // First of all: the relay's guard is forked off, and takes along what is open and which threads there are.
+  std::unique_ptr<gpio::Panel> panel;
+  if (station->panel) {
+    Result<std::unique_ptr<gpio::Panel>> opened = gpio::Panel::open(*station->panel);
+    if (!opened) return refuse(opened.error());
+    panel = std::move(*opened);
+  }
   Result<CheckStore> store = CheckStore::open(configuration->database);
   if (!store) return refuse(store.error());
   Result<std::unique_ptr<can::SocketCanBus>> bus =
@@ -44,7 +54,7 @@ int run(const std::string& file) {
   if (!bus) return refuse(bus.error());
 
   quit_on_signals();
-  daemon::Daemon daemon(*station, **bus, *store);
+  daemon::Daemon daemon(*station, **bus, *store, panel.get());
   if (const Result<void> started = daemon.start(); !started) return refuse(started.error());
   const auto server = daemon::ControlServer::start(
       daemon, configuration->control.address, configuration->control.port, configuration->control.token_file);

@@ -78,6 +78,10 @@ Result<std::uint64_t> Client::start(const CheckRequest& request) const {
   }
 }
 
+Result<void> Client::next(const CheckRequest& request) const {
+  return exchange("POST", "/v1/next", nlohmann::json(request)).map([](const auto&) {});
+}
+
 Result<CheckProgress> Client::progress(bool colour) const {
   const auto document = exchange("GET", colour ? "/v1/checks/current?colour=1" : "/v1/checks/current", {});
   if (!document) return tl::unexpected(document.error());

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include <nlohmann/json.hpp>
 
@@ -20,6 +21,7 @@ namespace clampd::control {
 // What goes over the control API (HTTP on the loopback interface, JSON bodies):
 //   GET  /v1/status          StationStatus
 //   POST /v1/checks          CheckRequest -> {"check": number}; 409 while the station is not IDLE
+//   POST /v1/next            CheckRequest that the panel's start button starts
 //   GET  /v1/checks/current  CheckProgress; ?colour=1 for a table with ANSI colours
 //   POST /v1/stop            operator stop
 //   POST /v1/clear           clears a fault whose cause is gone; 409 with the reason if it is not
@@ -28,13 +30,22 @@ namespace clampd::control {
 // Whatever moves or stops the brake needs "Authorization: Bearer TOKEN"; the daemon writes the token into the
 // file named in its configuration when it starts.
 
+/// A line of the operator's panel.
+struct PanelLine {
+  std::string line;   ///< "gpiochip0 line 4 (emergency stop)"
+  std::string role;   ///< "emergency stop"
+  std::string state;  ///< closed, open, on, off or lost
+};
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(PanelLine, line, role, state)
+
 /// What the station is doing now.
 struct StationStatus {
   std::string station;
   std::string version;
-  std::string state;       ///< INIT, IDLE, ...
-  std::string fault;       ///< "none" or the cause's name
-  std::string fault_text;  ///< what it means and what to do
+  std::string state;        ///< INIT, IDLE, ...
+  std::string fault;        ///< "none" or the cause's name
+  std::string fault_text;   ///< what it means and what to do
+  std::string fault_state;  ///< the state that it came in; empty: no fault
   bool clearable = false;
   std::string phase;
   std::uint32_t repeat = 0;
@@ -53,12 +64,16 @@ struct StationStatus {
   double bus_load = 0.0;
   bool simulated = false;
   bool realtime = false;
+  std::string next_serial;       ///< what the start button checks; empty: none is known
+  std::string notice;            ///< why the start button did nothing, last time
+  std::vector<PanelLine> panel;  ///< empty: the station has none
 };
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version, state, fault, fault_text,
-                                                clearable, phase, repeat, repeats, serial, last_verdict,
-                                                ticks, skipped, lateness_avg_us, lateness_max_us, force_N,
-                                                velocity_rad_s, torque_Nm, interface, link, bus_load,
-                                                simulated, realtime)
+                                                fault_state, clearable, phase, repeat, repeats, serial,
+                                                last_verdict, ticks, skipped, lateness_avg_us,
+                                                lateness_max_us, force_N, velocity_rad_s, torque_Nm,
+                                                interface, link, bus_load, simulated, realtime, next_serial,
+                                                notice, panel)
 
 /// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the
 /// same as a technician reads it.
@@ -79,6 +94,7 @@ class Client {
 
   Result<StationStatus> status() const;
   Result<std::uint64_t> start(const CheckRequest& request) const;
+  Result<void> next(const CheckRequest& request) const;
   Result<CheckProgress> progress(bool colour) const;
   Result<void> stop() const;
   Result<void> clear() const;

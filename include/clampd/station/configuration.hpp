@@ -87,6 +87,33 @@ struct ValiditySettings {
   double misfit_max = 4.0;          ///< residual rms over what sensor and torque noise explain
 };
 
+/// A line of the operator's panel.
+struct GpioLine {
+  std::string chip;            ///< name, number, path or label; empty: found by the line's name
+  std::string line;            ///< offset or name; empty: the station has no such line
+  bool active_low = false;     ///< the contact is closed, the output on, at the low level
+  std::string bias = "as-is";  ///< or "disabled", "pull-up", "pull-down"
+};
+
+/// The operator's panel. A station without an emergency stop line has none.
+struct GpioSettings {
+  GpioLine emergency_stop;  ///< normally closed
+  GpioLine fixture_closed;
+  GpioLine start_button;
+  GpioLine enable_relay;  ///< wired normally open
+  GpioLine light_red;
+  GpioLine light_amber;
+  GpioLine light_green;
+  double debounce_ms = 20.0;        ///< of start button and fixture
+  double release_ms = 50.0;         ///< of the emergency stop's release; its opening counts at once
+  double start_stuck_s = 10.0;      ///< a start button held for longer is stuck
+  double poll_ms = 1.0;             ///< levels are read at least so often
+  double lost_after_ms = 5.0;       ///< the loop gives up on a panel that was silent for longer
+  double relay_watchdog_ms = 10.0;  ///< the relay drops when the loop stood still for this long
+
+  bool used() const { return !emergency_stop.line.empty(); }
+};
+
 struct ControlSettings {
   std::string address = "127.0.0.1";
   std::uint16_t port = 8371;
@@ -128,6 +155,7 @@ struct StationConfiguration {
   std::string limits_file;  ///< empty: the limits that ship with the station
   std::string database;     ///< SQLite file of the results
   ControlSettings control;
+  GpioSettings gpio;
   RetentionSettings retention;
   MasterSettings master;
 

@@ -66,6 +66,7 @@ file = "/bench/configs/limits.toml"
 database = "/tmp/checks.sqlite"
 [control]
 token_file = "/tmp/token"
+${station_tables:-}
 TOML
   clampd --config /tmp/station.toml >>/tmp/station.log 2>&1 &
   station_pid=$!

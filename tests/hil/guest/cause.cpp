@@ -7,6 +7,9 @@
 //   cause write FILE TEXT            e.g. a driver's unbind
 //   cause frame INTERFACE ID#DATA    hexadecimal; an id above 7FF is sent with its flags, e.g. 20000040 is
 //   bus-off
+//
+// With "at-enable INTERFACE" before the verb, it acts when the station's next command frame enables the
+// drive.
 
 #include <fcntl.h>
 #include <linux/can.h>
@@ -43,6 +46,26 @@ ifreq interface_request(const std::string& name) {
   return request;
 }
 
+int open_can(const std::string& interface) {
+  const int handle = socket(PF_CAN, SOCK_RAW, CAN_RAW);
+  ifreq request = interface_request(interface);
+  if (handle < 0 || ioctl(handle, SIOCGIFINDEX, &request) < 0) give_up(interface);
+  sockaddr_can address{};
+  address.can_family = AF_CAN;
+  address.can_ifindex = request.ifr_ifindex;
+  if (bind(handle, reinterpret_cast<sockaddr*>(&address), sizeof address) < 0) give_up(interface);
+  return handle;
+}
+
+// In the frame BrakeCommand Enable is the lowest bit of the third byte.
+void wait_for_enable(int handle) {
+  constexpr canid_t kBrakeCommand = 0x100;
+  can_frame frame{};
+  do {
+    if (read(handle, &frame, sizeof frame) != sizeof frame) give_up("at-enable");
+  } while (frame.can_id != kBrakeCommand || (frame.data[2] & 1) == 0);
+}
+
 // Everything that can be prepared is prepared before the clocks are read: what is returned only acts.
 std::function<bool()> prepare(int count, char** words) {
   const std::string verb = count > 1 ? words[1] : "";
@@ -69,13 +92,7 @@ std::function<bool()> prepare(int count, char** words) {
     return [=] { return write(file, text.data(), text.size()) == static_cast<ssize_t>(text.size()); };
   }
   if (count == 4 && verb == "frame") {
-    const int handle = socket(PF_CAN, SOCK_RAW, CAN_RAW);
-    ifreq request = interface_request(words[2]);
-    if (handle < 0 || ioctl(handle, SIOCGIFINDEX, &request) < 0) give_up(words[2]);
-    sockaddr_can address{};
-    address.can_family = AF_CAN;
-    address.can_ifindex = request.ifr_ifindex;
-    if (bind(handle, reinterpret_cast<sockaddr*>(&address), sizeof address) < 0) give_up(words[2]);
+    const int handle = open_can(words[2]);
     can_frame frame{};
     const std::string text = words[3];
     const std::size_t hash = text.find('#');
@@ -87,7 +104,8 @@ std::function<bool()> prepare(int count, char** words) {
     return [=] { return write(handle, &frame, sizeof frame) == sizeof frame; };
   }
   std::fputs(
-      "usage: cause kill SIGNAL PID | link INTERFACE up|down | write FILE TEXT | frame INTERFACE ID#DATA\n",
+      "usage: cause [at-enable INTERFACE] kill SIGNAL PID | link INTERFACE up|down | write FILE TEXT | frame "
+      "INTERFACE ID#DATA\n",
       stderr);
   std::exit(2);
 }
@@ -95,7 +113,14 @@ std::function<bool()> prepare(int count, char** words) {
 }  // namespace
 
 int main(int count, char** words) {
+  const bool waits = count > 3 && std::strcmp(words[1], "at-enable") == 0;
+  const int bus = waits ? open_can(words[2]) : -1;
+  if (waits) {
+    count -= 2;
+    words += 2;
+  }
   const std::function<bool()> act = prepare(count, words);
+  if (waits) wait_for_enable(bus);
   const timespec monotonic = now(CLOCK_MONOTONIC);
   const timespec realtime = now(CLOCK_REALTIME);
   if (!act()) give_up(words[1]);

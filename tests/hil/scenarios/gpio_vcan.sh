@@ -1,0 +1,55 @@
+# The operator's panel on a GPIO chip: emergency stop in every state, fixture, start button, relay and lights, and lines
+# that vanish. The contacts close to ground: a line at 1 is an open contact.
+# module: bench_gpio
+. ./common.sh
+. ./bench.sh
+. ./faults.sh
+. ./panel.sh
+use_vcan
+use_panel
+start_brake /tmp/trace.csv
+
+echo "--- a start button held at start-up"
+pull $start_line 0
+start_station
+wait_until 10 "the held button is a fault" fault_is start-button-stuck
+expect_named "$(status fault_text)" $start_line "start button"
+pull $start_line 1
+wait_until 5 "the fault can be cleared" clearable
+clear_fault
+
+echo "--- the start button"
+expect_levels "ready" relay=0 red=0 amber=0 green=1
+press_start
+wait_until 5 "a start without a serial number is refused" notice_has "no serial number"
+clampctl --config /tmp/station.toml next --serial HIL-NEXT --repeats 2 || fail "next"
+pull $fixture_line 1
+press_start
+wait_until 5 "a start with an open fixture is refused" notice_has "line $fixture_line (fixture closed)"
+pull $fixture_line 0
+sleep 0.1
+press_start
+wait_until 20 "the brake is clamped" clamped
+expect_levels "running" relay=1 red=0 amber=1 green=0
+wait_until 30 "the check passes" verdict_is PASS
+[ "$(status serial)" = HIL-NEXT ] || fail "the check is of '$(status serial)'"
+expect_levels "passed" relay=0 red=0 amber=0 green=1
+
+emergency_stop_in ARMED at-enable
+emergency_stop_in RUNNING clamped
+fault_repeats=2
+emergency_stop_in RELEASING releasing
+fault_repeats=20
+emergency_stop_idle
+emergency_stop_in_fault
+emergency_stop_in_init
+
+panel_fault "fixture opened" fixture-open $fixture_line "fixture closed" \
+  "cause write $chip/pull '$fixture_line 1'" "pull $fixture_line 0" 25
+panel_fault "line unreadable" interlock-lost $stop_line "emergency stop" \
+  "cause write $chip/broken $((1 << stop_line))" "echo 0 >$chip/broken" 5
+panel_fault "chip removed" interlock-lost $stop_line "emergency stop" \
+  "cause write $driver/unbind bench-gpio" "put_chip_back" 5
+relay_guard_killed
+station_stopped
+station_killed_with_relay
