@@ -39,11 +39,17 @@ thead .number { white-space: normal; }
 .number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 .good, .mixed, .bad { font-weight: 600; white-space: nowrap; }
 .good { color: var(--good); } .mixed { color: var(--mixed); } .bad { color: var(--bad); }
+.banner { margin: 1.5rem 0; padding: 1rem 1.25rem; border-radius: 6px; color: #fff; }
+.banner strong { display: block; font-size: clamp(3rem, 14vw, 7rem); line-height: 1.05; letter-spacing: .02em; }
+.banner p { font-size: 1.1rem; margin: .5rem 0 0; }
+.banner-good { background: #00694d; } .banner-mixed { background: #e6b450; color: #1d1f21; }
+.banner-bad { background: #a3260f; } .banner-plain { background: #5b6166; }
 figure { margin: 1.2rem 0; padding: .6rem; background: #fff; color: #1d1f21; border: 1px solid var(--line);
   border-radius: 6px; }
 figure svg { display: block; width: 100%; height: auto; margin: 0 auto; }
 figcaption { padding: .5rem .4rem 0; font-size: .9rem; color: #4a4f53; }
 @media print {
+  .banner { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
   body { max-width: none; padding: 0; font-size: 10.5pt; }
   figure, tr, dd, nav { break-inside: avoid; }
   h2, caption, dt { break-after: avoid; }
@@ -104,6 +110,11 @@ Page::Page(std::string title, std::string subtitle)
 void Page::section(const std::string& heading) {
   headings_.push_back(heading);
   body_ += fmt::format("<h2 id=\"section-{}\">{}</h2>\n", headings_.size(), escaped(heading));
+}
+
+void Page::banner(const std::string& word, Tone tone, const std::string& text) {
+  body_ += fmt::format("<div class=\"banner banner-{}\"><strong>{}</strong><p>{}</p></div>\n",
+                       tone == Tone::Plain ? "plain" : tone_class(tone), escaped(word), escaped(text));
 }
 
 void Page::paragraph(const std::string& text) {

@@ -27,6 +27,11 @@ void add_reproduce_command(CLI::App& app, int& exit_code);
 void add_station_commands(CLI::App& app, const CommonOptions& common,
                           int& exit_code);  ///< status, next, stop, clear
 void add_results_command(CLI::App& app, const CommonOptions& common, int& exit_code);
+void add_report_command(CLI::App& app, const CommonOptions& common, int& exit_code);
+void add_statistics_commands(CLI::App& app, const CommonOptions& common,
+                             int& exit_code);  ///< statistics, limits
+void add_gauge_command(CLI::App& app, const CommonOptions& common, int& exit_code);
+void add_master_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_doctor_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 
 }  // namespace clampd::ctl

@@ -1,44 +1,124 @@
+#include <limits>
+#include <map>
 #include <memory>
 
 #include <fmt/format.h>
 
+#include "clampd/archive/csv.hpp"
+#include "clampd/archive/dfq.hpp"
 #include "clampd/archive/json.hpp"
 #include "clampd/archive/store.hpp"
 #include "clampd/archive/table.hpp"
+#include "clampd/brake/parameters.hpp"
+#include "clampd/record/file.hpp"
+#include "clampd/record/utc.hpp"
 #include "tools/assembly/prepared_station.hpp"
+#include "tools/clampctl/check_selection.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
+#include "tools/records/candump.hpp"
+#include "tools/records/retention.hpp"
 
 namespace clampd::ctl {
 
 namespace {
 
+constexpr std::uint32_t kListed = 50;
+constexpr std::uint32_t kExported = 1'000'000;
+
 struct ResultsOptions {
-  CheckFilter filter;
-  std::string verdict;
+  std::shared_ptr<CheckFilter> filter;
+  CLI::Option* limit = nullptr;
   std::string id;
+  std::string csv;
+  std::string dfq;
+  std::string candump;
   bool json = false;
+  bool prune = false;
+  bool yes = false;
 };
 
-int results(ResultsOptions options, const CommonOptions& common) {
+int show_one(const ResultsOptions& options, const CheckStore& store) {
+  const Result<CheckRecord> record = store.load(options.id);
+  if (!record) return cli::refuse(record.error());
+  if (options.json)
+    fmt::print("{}\n", check_json(*record).dump(2));
+  else
+    fmt::print("{}", format_check(*record, cli::colours_wanted()));
+  return cli::kSuccess;
+}
+
+int write_candump(const ResultsOptions& options, const StationConfiguration& configuration,
+                  const CheckStore& store) {
+  if (options.id.empty()) return cli::refuse({"--candump exports one check: give its id, or `last`"});
+  const Result<CheckRecord> record = store.load(options.id);
+  if (!record) return cli::refuse(record.error());
+  const Result<assembly::PreparedStation> station = assembly::prepare_station(configuration);
+  if (!station) return cli::refuse(station.error());
+  const std::string interface = configuration.embedded() ? "can0" : configuration.can.interface;
+  const auto written =
+      format_candump(*record, station->codec, interface).and_then([&](const std::string& log) {
+        return write_file_atomically(options.candump, log);
+      });
+  if (!written) return cli::refuse(written.error());
+  cli::print_notice(
+      "frames were reconstructed from the record's samples; they are not those that were on the bus");
+  return cli::kSuccess;
+}
+
+Result<std::string> dfq_of(const std::vector<CheckRecord>& checks) {
+  std::map<std::string, double> nominal;
+  for (const ParameterInfo& parameter : kParameterTable) nominal.emplace(parameter.name, parameter.nominal);
+  return format_dfq(checks, nominal);
+}
+
+int write_tables(const ResultsOptions& options, const CheckStore& store) {
+  CheckFilter filter = *options.filter;
+  if (options.limit->count() == 0) filter.limit = kExported;  // an export that is cut short misleads
+  Result<std::vector<CheckRecord>> checks = store.load_results(filter);
+  if (!checks) return cli::refuse(checks.error());
+  if (!options.csv.empty())
+    if (const auto written = write_file_atomically(options.csv, format_csv(*checks)); !written)
+      return cli::refuse(written.error());
+  if (!options.dfq.empty()) {
+    const auto written = dfq_of(*checks).and_then(
+        [&](const std::string& text) { return write_file_atomically(options.dfq, text); });
+    if (!written) return cli::refuse(written.error());
+  }
+  cli::print_notice(fmt::format("{} checks exported", checks->size()));
+  return cli::kSuccess;
+}
+
+int prune(const ResultsOptions& options, const StationConfiguration& configuration) {
+  const RetentionPolicy policy = retention_policy(configuration);
+  if (policy.keeps_all())
+    return cli::refuse(
+        {"[retention] keeps all raw runs (raw_days = 0 and raw_megabytes = 0): nothing to remove"});
+  Result<CheckStore> store = CheckStore::open(configuration.database);
+  if (!store) return cli::refuse(store.error());
+  const Result<RetentionSummary> summary =
+      options.yes ? store->apply_retention(policy, utc_now_ns(), std::numeric_limits<std::size_t>::max())
+                  : store->plan_retention(policy, utc_now_ns());
+  if (!summary) return cli::refuse(summary.error());
+  if (options.json)
+    fmt::print("{}\n", retention_json(*summary, options.yes).dump(2));
+  else
+    fmt::print("{}", format_retention(*summary, options.yes));
+  return cli::kSuccess;
+}
+
+int results(const ResultsOptions& options, const CommonOptions& common) {
   const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
+  if (options.prune) return prune(options, *configuration);
   const Result<CheckStore> store = CheckStore::open(configuration->database, CheckStore::Access::ReadOnly);
   if (!store) return cli::refuse(store.error());
+  if (!options.candump.empty()) return write_candump(options, *configuration, *store);
+  if (!options.csv.empty() || !options.dfq.empty()) return write_tables(options, *store);
+  if (!options.id.empty()) return show_one(options, *store);
 
-  if (!options.id.empty()) {
-    const Result<CheckRecord> record = store->load(options.id);
-    if (!record) return cli::refuse(record.error());
-    if (options.json)
-      fmt::print("{}\n", check_json(*record).dump(2));
-    else
-      fmt::print("{}", format_check(*record, cli::colours_wanted()));
-    return cli::kSuccess;
-  }
-
-  options.filter.verdict = parse_verdict(options.verdict);
-  const Result<std::vector<CheckSummary>> checks = store->list(options.filter);
+  const Result<std::vector<CheckSummary>> checks = store->list(*options.filter);
   if (!checks) return cli::refuse(checks.error());
   if (options.json)
     fmt::print("{}\n", summaries_json(*checks).dump(2));
@@ -51,16 +131,28 @@ int results(ResultsOptions options, const CommonOptions& common) {
 
 void add_results_command(CLI::App& app, const CommonOptions& common, int& exit_code) {
   auto options = std::make_shared<ResultsOptions>();
-  CLI::App* command = app.add_subcommand("results", "past verdicts");
+  CLI::App* command = app.add_subcommand("results", "past verdicts: list, show, export, prune");
   command->add_option("id", options->id, "show this check whole: its id, the beginning of it, or `last`");
-  command->add_option("--serial", options->filter.serial, "only of this brake");
-  command->add_option("--verdict", options->verdict, "only with this verdict")
-      ->check(CLI::IsMember({"PASS", "FAIL", "ERROR", "TIMEOUT", "ABORTED"}));
-  command->add_option("--since", options->filter.since, "only started then or later (date or RFC 3339)");
-  command->add_option("--limit", options->filter.limit, "at most so many, newest first")
-      ->check(CLI::Range(1, 100000))
-      ->capture_default_str();
+  options->filter = add_check_selection(*command, kListed);
+  options->limit = command->get_option("--limit");
   command->add_flag("--json", options->json, "as JSON on standard output");
+  command->add_option("--csv", options->csv, "write the chosen checks, one a row, with all parameters")
+      ->type_name("FILE");
+  command
+      ->add_option("--dfq", options->dfq,
+                   "write the chosen checks as a Q-DAS (AQDEF) file: one characteristic per parameter with "
+                   "nominal value and limits (K2002, K2101, K2110, K2111), one value set per check (K0001; "
+                   "K0002 255 where the check was invalid; K0004 time, K0006 batch, K0008 operator, K0010 "
+                   "station, K0014 serial number). All must be of one part and one set of limits")
+      ->type_name("FILE");
+  command
+      ->add_option("--candump", options->candump,
+                   "write the runs of one check (`id`) as a `candump -l` log, for canplayer and log2asc; its "
+                   "frames are reconstructed from the recorded samples")
+      ->type_name("FILE");
+  command->add_flag("--prune", options->prune,
+                    "say which raw runs [retention] lets go; results and parameters always stay");
+  command->add_flag("--yes", options->yes, "with --prune: remove them");
   command->callback([options, &common, &exit_code] { exit_code = results(*options, common); });
 }
 

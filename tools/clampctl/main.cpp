@@ -26,6 +26,10 @@ int main(int argc, char** argv) {
   ctl::add_reproduce_command(app, exit_code);
   ctl::add_station_commands(app, common, exit_code);
   ctl::add_results_command(app, common, exit_code);
+  ctl::add_report_command(app, common, exit_code);
+  ctl::add_statistics_commands(app, common, exit_code);
+  ctl::add_gauge_command(app, common, exit_code);
+  ctl::add_master_command(app, common, exit_code);
   ctl::add_doctor_command(app, common, exit_code);
 
   try {

@@ -38,6 +38,8 @@ class Page {
  public:
   Page(std::string title, std::string subtitle);
 
+  /// One word in full size with a line below it, to be read from afar.
+  void banner(const std::string& word, Tone tone, const std::string& text);
   /// Starts a section, which the contents list names.
   void section(const std::string& heading);
   void paragraph(const std::string& text);

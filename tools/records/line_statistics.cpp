@@ -1,0 +1,63 @@
+#include "tools/records/line_statistics.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <tuple>
+
+namespace clampd {
+namespace {
+
+bool is_valid(const CheckRecord& check) {
+  return check.verdict == Verdict::Pass || check.verdict == Verdict::Fail;
+}
+
+void take(std::vector<ParameterStatistics>& parameters, const ParameterRecord& parameter) {
+  if (!std::isfinite(parameter.value)) return;
+  auto found = std::find_if(parameters.begin(), parameters.end(),
+                            [&](const auto& known) { return known.name == parameter.name; });
+  if (found == parameters.end())
+    found = parameters.insert(
+        found, {parameter.name, parameter.unit, parameter.lower, parameter.upper, false, {}, {}, {}});
+  found->limits_changed =
+      found->limits_changed || found->lower != parameter.lower || found->upper != parameter.upper;
+  found->lower = parameter.lower;
+  found->upper = parameter.upper;
+  found->values.push_back(parameter.value);
+}
+
+}  // namespace
+
+LineStatistics line_statistics(std::vector<CheckRecord> checks, const std::string& master_serial) {
+  std::erase_if(checks, [&](const CheckRecord& check) {
+    return !master_serial.empty() && check.serial == master_serial;
+  });
+  std::sort(checks.begin(), checks.end(), [](const CheckRecord& a, const CheckRecord& b) {
+    return std::tie(a.started, a.id) < std::tie(b.started, b.id);
+  });
+  LineStatistics statistics;
+  statistics.checks = checks.size();
+  if (checks.empty()) return statistics;
+  statistics.first = checks.front().started;
+  statistics.last = checks.back().started;
+  for (std::size_t i = 0; i < checks.size(); ++i) {
+    const CheckRecord& check = checks[i];
+    statistics.passed += check.verdict == Verdict::Pass ? 1 : 0;
+    statistics.failed += check.verdict == Verdict::Fail ? 1 : 0;
+    statistics.invalid += is_valid(check) ? 0 : 1;
+    statistics.simulated += check.simulated ? 1 : 0;
+    const bool superseded = std::any_of(
+        checks.begin() + static_cast<std::ptrdiff_t>(i) + 1, checks.end(),
+        [&](const CheckRecord& later) { return later.serial == check.serial && is_valid(later); });
+    if (!is_valid(check) || superseded) continue;
+    statistics.serials.push_back(check.serial);
+    for (const ParameterRecord& parameter : check.parameters) take(statistics.parameters, parameter);
+  }
+  std::erase_if(statistics.parameters, [](const auto& parameter) { return parameter.values.size() < 2; });
+  for (ParameterStatistics& parameter : statistics.parameters) {
+    parameter.capability = quality::capability(parameter.values, parameter.lower, parameter.upper);
+    parameter.charts = quality::individuals_chart(parameter.values);
+  }
+  return statistics;
+}
+
+}  // namespace clampd

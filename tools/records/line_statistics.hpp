@@ -1,0 +1,50 @@
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+#include "clampd/quality/capability.hpp"
+#include "clampd/quality/control_chart.hpp"
+#include "clampd/record/check_record.hpp"
+
+namespace clampd {
+
+/// One parameter over many brakes.
+struct ParameterStatistics {
+  std::string name;
+  std::string unit;
+  double lower = 0.0;  ///< limits of the newest check
+  double upper = 0.0;
+  bool limits_changed = false;  ///< among these checks
+  std::vector<double> values;   ///< one a brake, in the order of time
+  quality::Capability capability;
+  quality::ChartPair charts;  ///< individual values and moving ranges
+};
+
+/// What checks say about the line. Capability and charts take the last valid check (PASS or FAIL) of each
+/// serial number, so that a brake counts once however often it was checked.
+struct LineStatistics {
+  std::size_t checks = 0;
+  std::size_t passed = 0;
+  std::size_t failed = 0;
+  std::size_t invalid = 0;    ///< ERROR, TIMEOUT, ABORTED
+  std::size_t simulated = 0;  ///< of all checks
+  std::string first;          ///< start of the first check, RFC 3339
+  std::string last;
+  std::vector<std::string> serials;             ///< of the brakes that count, in the order of time
+  std::vector<ParameterStatistics> parameters;  ///< of which at least two values are there
+};
+
+/// Checks in any order; those of `master_serial` are left out.
+LineStatistics line_statistics(std::vector<CheckRecord> checks, const std::string& master_serial);
+
+/// Schema clampd.statistics/1.
+nlohmann::ordered_json statistics_json(const LineStatistics& statistics);
+
+/// As a technician reads it.
+std::string format_statistics(const LineStatistics& statistics);
+
+}  // namespace clampd
