@@ -172,20 +172,23 @@ Figure run_figure(const Run& run, const Reference* reference) {
   return figure;
 }
 
-/// A parameter over numbered checks or repeats, with a level and a band of two sd about it.
-Panel scatter_panel(const ParameterRecord& p, const std::vector<double>& values, double low, double high,
+/// Numbered values in percent, with a band.
+Panel scatter_panel(const std::string& title, const std::vector<double>& percents, double low, double high,
                     Colour band) {
   Panel panel;
-  panel.title = p.name;
-  panel.y.label = p.unit;
-  const double n = static_cast<double>(values.size());
+  panel.title = title;
+  panel.y.label = "%";
+  const std::size_t n = percents.size();
+  const std::size_t step = n / 11 + 1;
+  for (std::size_t i = 1; i <= n; i += step)
+    panel.x.ticks.push_back({static_cast<double>(i), std::to_string(i)});
   panel.x.lower = 0.5;
-  panel.x.upper = n + 0.5;
-  panel.layers.emplace_back(report::Band{"", {0.5, n + 0.5}, {low, low}, {high, high}, band});
-  Points points{"", {}, {}, Colour::Blue, Marker::Dot, 0.5};
-  for (std::size_t i = 0; i < values.size(); ++i) {
+  panel.x.upper = static_cast<double>(n) + 0.5;
+  panel.layers.emplace_back(report::Band{"", {panel.x.lower, panel.x.upper}, {low, low}, {high, high}, band});
+  Points points{"", {}, {}, Colour::Blue, Marker::Dot, 0.55};
+  for (std::size_t i = 0; i < n; ++i) {
     points.x.push_back(static_cast<double>(i + 1));
-    points.y.push_back(values[i]);
+    points.y.push_back(percents[i]);
   }
   panel.layers.emplace_back(points);
   return panel;
@@ -196,7 +199,7 @@ Figure grid(std::vector<Panel> panels) {
   figure.panels = std::move(panels);
   figure.columns = 2;
   figure.width_px = 1000;
-  figure.panel_height_px = 170;
+  figure.panel_height_px = 200;
   return figure;
 }
 
@@ -208,17 +211,18 @@ Result<void> write_repeats(Page& page, const CheckRecord& check) {
     bool any = false;
     for (const RunRecord& run : check.runs) {
       const bool usable = run.converged && i < run.estimate.size() && std::isfinite(run.estimate[i]);
-      values.push_back(usable ? run.estimate[i] : std::numeric_limits<double>::quiet_NaN());
+      values.push_back(usable ? 100.0 * (run.estimate[i] / p.value - 1.0)
+                              : std::numeric_limits<double>::quiet_NaN());
       any = any || usable;
     }
-    if (any)
-      panels.push_back(scatter_panel(p, values, p.value - 2.0 * p.sd, p.value + 2.0 * p.sd, Colour::Sky));
+    const double band = 200.0 * p.sd / std::abs(p.value);
+    if (any) panels.push_back(scatter_panel(p.name, values, -band, band, Colour::Sky));
   }
   if (!panels.empty()) {
     page.section("Repeats");
     if (const Result<void> drawn = page.figure(grid(std::move(panels)),
-                                               "Each repeat identified on its own, by repeat. The band is "
-                                               "the joint estimate of all repeats ± 2 sd; "
+                                               "Each repeat identified on its own, by repeat: percent off "
+                                               "the joint estimate of all. The band is its ± 2 sd; "
                                                "single repeats scatter more.");
         !drawn)
       return drawn;
@@ -339,14 +343,16 @@ Result<void> write_history(Page& page, const CheckReportContents& contents) {
     for (const CheckRecord& check : history) {
       const auto found = std::find_if(check.parameters.begin(), check.parameters.end(),
                                       [&](const ParameterRecord& other) { return other.name == p.name; });
-      values.push_back(found == check.parameters.end() ? std::numeric_limits<double>::quiet_NaN()
-                                                       : found->value);
+      values.push_back(found == check.parameters.end()
+                           ? std::numeric_limits<double>::quiet_NaN()
+                           : 100.0 * (found->value - p.lower) / (p.upper - p.lower));
     }
-    panels.push_back(scatter_panel(p, values, p.lower, p.upper, Colour::Green));
+    panels.push_back(scatter_panel(p.name, values, 0.0, 100.0, Colour::Green));
   }
   if (panels.empty()) return {};
-  return page.figure(grid(std::move(panels)),
-                     "Parameters by check, the oldest first, between this check's limits.");
+  return page.figure(
+      grid(std::move(panels)),
+      "Parameters by check, the oldest first, from this check's lower (0 %) to its upper limit (100 %).");
 }
 
 }  // namespace

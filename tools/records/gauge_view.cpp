@@ -63,8 +63,7 @@ report::Panel by_part(const GaugeQuantity& quantity, bool legend) {
   const auto parts = names_of(quantity, &quality::GaugeReading::part);
   const auto operators = names_of(quantity, &quality::GaugeReading::operator_name);
   report::Panel panel;
-  panel.title = quantity.name;
-  panel.y.label = quantity.unit;
+  panel.title = quantity.name + (quantity.unit.empty() ? "" : ", " + quantity.unit);
   panel.x.lower = 0.4;
   panel.x.upper = static_cast<double>(parts.size()) + 0.6;
   for (std::size_t i = 0; i < parts.size(); ++i)
@@ -73,8 +72,8 @@ report::Panel by_part(const GaugeQuantity& quantity, bool legend) {
     report::Points points;
     points.label = legend ? operators[o] : "";
     points.colour = kColours[o % kColours.size()];
-    points.marker = report::Marker::Ring;
-    points.size = 0.55;
+    points.marker = report::Marker::Dot;
+    points.size = 0.5;
     const double shift = 0.22 * (static_cast<double>(o) - 0.5 * static_cast<double>(operators.size() - 1));
     for (const quality::GaugeReading& reading : quantity.readings) {
       if (reading.operator_name != operators[o]) continue;
@@ -224,7 +223,9 @@ Result<std::string> gauge_report(const std::vector<GaugeQuantity>& quantities, c
   parts.width_px = 1000;
   parts.panel_height_px = 220;
   for (std::size_t i = 0; i < quantities.size(); ++i) parts.panels.push_back(by_part(quantities[i], i < 2));
-  if (const auto drawn = page.figure(parts, "Every measurement, by part; operators side by side."); !drawn)
+  if (const auto drawn = page.figure(
+          parts, "Every measurement, by part in the order of their names; operators side by side.");
+      !drawn)
     return tl::unexpected(drawn.error());
 
   page.section("Analysis of variance");
@@ -244,7 +245,9 @@ Result<std::string> gauge_report(const std::vector<GaugeQuantity>& quantities, c
       anova.rows.push_back({row.source, fmt::format("{:.0f}", row.freedom),
                             fmt::format("{:.4g}", row.sum_of_squares), fmt::format("{:.4g}", row.mean_square),
                             std::isfinite(row.f) ? fmt::format("{:.2f}", row.f) : "",
-                            std::isfinite(row.p) ? fmt::format("{:.4f}", row.p) : ""});
+                            !std::isfinite(row.p) ? ""
+                            : row.p < 1e-4        ? "< 0.0001"
+                                                  : fmt::format("{:.4f}", row.p)});
     page.table(anova);
   }
   return page.html();
