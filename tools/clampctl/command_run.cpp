@@ -10,6 +10,7 @@
 #include "clampd/archive/json.hpp"
 #include "clampd/archive/store.hpp"
 #include "clampd/archive/table.hpp"
+#include "clampd/record/utc.hpp"
 #include "clampd/station/session.hpp"
 #include "clampd/station/verdict.hpp"
 #include "drivers/can/socketcan.hpp"
@@ -21,6 +22,7 @@
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 #include "tools/control/messages.hpp"
+#include "tools/records/master.hpp"
 
 namespace clampd::ctl {
 
@@ -31,6 +33,7 @@ struct RunOptions {
   std::string simulated_brake;
   std::string json;
   bool settle = false;
+  bool master = false;
 };
 
 std::atomic<bool> interrupted{false};
@@ -163,16 +166,35 @@ int run_through_daemon(const RunOptions& options, const StationConfiguration& co
   }
 }
 
-int run(const RunOptions& options, const CommonOptions& common) {
+/// A check of the master brake judges the station, not the brake.
+int judge_master(const RunOptions& options, const StationConfiguration& configuration, int check_code) {
+  if (check_code != cli::kSuccess && check_code != cli::kBrakeFails) return check_code;
+  const Result<MasterReport> report = CheckStore::open(configuration.database, CheckStore::Access::ReadOnly)
+                                          .and_then([&](const CheckStore& store) {
+                                            return master_report(configuration.master, store, utc_now_ns());
+                                          });
+  if (!report) return cli::refuse(report.error());
+  if (options.json != "-") fmt::print("\n{}", format_master(*report));
+  return asks_for_something(*report) ? cli::kStation : cli::kSuccess;
+}
+
+int run(RunOptions options, const CommonOptions& common) {
   Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
+  if (options.master) {
+    options.request.serial = configuration->master.serial;
+    if (options.request.serial.empty())
+      return cli::refuse(
+          {"no master brake is configured: [master] names its serial number and its certified limits"});
+  }
   if (const Result<void> valid = validate(options.request); !valid) return cli::refuse(valid.error());
   if (const Result<void> writable = cli::check_writable(options.json); !writable)
     return cli::refuse(writable.error());
   watch_for_interrupt();
-  if (configuration->embedded() || !options.simulated_brake.empty())
-    return run_embedded(options, std::move(*configuration));
-  return run_through_daemon(options, *configuration);
+  const int code = configuration->embedded() || !options.simulated_brake.empty()
+                       ? run_embedded(options, *configuration)
+                       : run_through_daemon(options, *configuration);
+  return options.master ? judge_master(options, *configuration, code) : code;
 }
 
 }  // namespace
@@ -192,6 +214,12 @@ void add_run_command(CLI::App& app, const CommonOptions& common, int& exit_code)
   auto options = std::make_shared<RunOptions>();
   CLI::App* command = app.add_subcommand("run", "check one brake and say pass or fail");
   add_request_options(*command, options->request);
+  CLI::Option* serial = command->get_option("--serial");
+  command
+      ->add_flag("--master", options->master,
+                 "check the master brake of [master] instead: exit code 3 if the station does not find its "
+                 "certified values")
+      ->excludes(serial);
   command
       ->add_option(
           "--simulated-brake", options->simulated_brake,
@@ -202,7 +230,11 @@ void add_run_command(CLI::App& app, const CommonOptions& common, int& exit_code)
                     "apart, run it, and decide");
   command->add_option("--json", options->json, "write the result as clampd.check/1; - for standard output")
       ->type_name("FILE");
-  command->callback([options, &common, &exit_code] { exit_code = run(*options, common); });
+  serial->required(false);
+  command->callback([options, serial, &common, &exit_code] {
+    if (!options->master && serial->count() == 0) throw CLI::RequiredError("--serial");
+    exit_code = run(*options, common);
+  });
 }
 
 }  // namespace clampd::ctl

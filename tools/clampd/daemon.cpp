@@ -12,6 +12,8 @@
 #include "clampd/base/clock.hpp"
 #include "clampd/base/version.hpp"
 #include "rt/policy.hpp"
+#include "tools/records/master.hpp"
+#include "tools/records/retention.hpp"
 
 namespace clampd::daemon {
 
@@ -67,10 +69,34 @@ void Daemon::pump() {
     spdlog::info("check {} of {}: {}. {}", record->id, record->serial, to_string(record->verdict),
                  record->reason);
     last_record_ = std::move(record);
+    records_due_ns_ = 0;
   }
   report_state_changes();
   reopen_bus_if_gone();
   serve_panel();
+  look_after_records();
+}
+
+/// Retention and the master brake's age: now and then, and never while a check may need the store.
+void Daemon::look_after_records() {
+  constexpr std::int64_t kEvery_ns = 60 * kNanosecondsPerSecond;
+  constexpr std::size_t kChecksAtOnce = 5;  // so that no check waits long for them; more than a line makes
+  const assembly::Instant now = instant_now();
+  if (conductor_.busy() || now.steady_ns < records_due_ns_) return;
+  records_due_ns_ = now.steady_ns + kEvery_ns;
+  if (const RetentionPolicy policy = retention_policy(station_.configuration); !policy.keeps_all()) {
+    const Result<RetentionSummary> removed = store_.apply_retention(policy, now.utc_ns, kChecksAtOnce);
+    if (!removed)
+      spdlog::warn("retention: {}", removed.error().message);
+    else if (!removed->checks.empty())
+      spdlog::info("retention: raw runs of {} checks removed, up to {}", removed->checks.size(),
+                   removed->checks.back());
+  }
+  const Result<MasterReport> master = master_report(station_.configuration.master, store_, now.utc_ns);
+  const std::string before = std::exchange(master_, !master                       ? master.error().message
+                                                    : asks_for_something(*master) ? master->text
+                                                                                  : "");
+  if (!master_.empty() && master_ != before) spdlog::warn("{}", master_);
 }
 
 void Daemon::serve_panel() {
@@ -106,6 +132,7 @@ void Daemon::report_state_changes() {
   if (state == StationState::Fault) {
     const FaultCause fault = core_.status().fault.load();
     spdlog::error("FAULT {}: {}", to_string(fault), fault_text(fault));
+    spdlog::error("DBG fault at {}", core_.status().fault_time_ns.load()/1000);
     if (fault == FaultCause::EmergencyStop && panel_ != nullptr && panel_->emergency_stop_opened_ns() > 0)
       spdlog::info(
           "the tick that stopped came {:.3f} ms after the contact opened",
@@ -162,6 +189,7 @@ control::StationStatus Daemon::status() {
   if (panel_ != nullptr)
     for (gpio::LineReport& line : panel_->report())
       status.panel.push_back({std::move(line.line), std::move(line.role), std::move(line.state)});
+  status.master = master_;
   return status;
 }
 

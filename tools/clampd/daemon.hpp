@@ -47,6 +47,7 @@ class Daemon final : public ControlTarget {
   void pump();
   void report_state_changes();
   void serve_panel();
+  void look_after_records();
   Result<std::uint64_t> begin(const CheckRequest& request);
   std::string fault_text(FaultCause fault) const;
   void reopen_bus_if_gone();
@@ -65,6 +66,8 @@ class Daemon final : public ControlTarget {
   std::optional<CheckRecord> last_record_;
   std::optional<CheckRequest> next_;  ///< what the start button checks
   std::string notice_;                ///< why the start button did nothing
+  std::int64_t records_due_ns_ = 0;   ///< when to look after the records again, monotonic
+  std::string master_;                ///< what the master brake asks for; empty: nothing
   StationState reported_state_ = StationState::Init;
 };
 

@@ -67,13 +67,14 @@ struct StationStatus {
   std::string next_serial;       ///< what the start button checks; empty: none is known
   std::string notice;            ///< why the start button did nothing, last time
   std::vector<PanelLine> panel;  ///< empty: the station has none
+  std::string master;            ///< what the master brake asks for; empty: nothing
 };
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version, state, fault, fault_text,
                                                 fault_state, clearable, phase, repeat, repeats, serial,
                                                 last_verdict, ticks, skipped, lateness_avg_us,
                                                 lateness_max_us, force_N, velocity_rad_s, torque_Nm,
                                                 interface, link, bus_load, simulated, realtime, next_serial,
-                                                notice, panel)
+                                                notice, panel, master)
 
 /// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the
 /// same as a technician reads it.

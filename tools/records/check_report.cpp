@@ -377,6 +377,8 @@ Result<std::string> check_report(const CheckReportContents& contents) {
   }
   if (!check.parameters.empty()) {
     page.section("Parameters and limits");
+    if (check.verdict != Verdict::Pass && check.verdict != Verdict::Fail)
+      page.paragraph("The check was invalid: what follows says nothing about the brake.");
     if (const auto drawn = page.figure(
             limits_figure(check, contents.guard_band_k),
             "Each parameter between its limits, with twice its standard deviation. Inside the guard "

@@ -45,6 +45,10 @@ std::string names(const std::vector<MasterParameter>& parameters, bool (*which)(
 
 }  // namespace
 
+bool asks_for_something(const MasterReport& report) noexcept {
+  return report.state != MasterState::None && report.state != MasterState::Good;
+}
+
 MasterReport master_report(const MasterSettings& settings, const LimitSet& certified,
                            const std::vector<CheckRecord>& newest_first, std::int64_t now_utc_ns) {
   MasterReport report;

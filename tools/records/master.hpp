@@ -48,6 +48,9 @@ struct MasterReport {
   std::vector<MasterParameter> parameters;  ///< empty without a valid check
 };
 
+/// Whether somebody has to do something before brakes are checked.
+bool asks_for_something(const MasterReport& report) noexcept;
+
 /// Judges the newest valid checks (PASS or FAIL, at most 50) of the master brake against its certified
 /// limits, by their guard band, and against each other: Nelson's rules 1 to 3 on an individuals chart, from
 /// the eighth check on.
