@@ -93,7 +93,9 @@ class HealthBoard {
 template <class Sequence>
 class BasicControlCore {
  public:
-  static constexpr std::size_t kReceiveCapacity = 64;
+  /// Samples taken in one tick at most. What piled up while the station started is worked off over several:
+  /// ticks as long as the period would starve the panel's reader, which runs below the loop.
+  static constexpr std::size_t kReceiveCapacity = 8;
   static constexpr std::size_t kRingCapacity = 8192;
 
   /// `port` and `interlocks` must outlive the core; without interlocks, the station has none.
@@ -154,7 +156,10 @@ class BasicControlCore {
     inputs.now_ns = now_ns;
     inputs.skipped_periods = skipped_periods;
     inputs.health = port_.health();
-    if (interlocks_ != nullptr) inputs.interlocks = interlocks_->read(now_ns);
+    // While the loop itself stood still, the panel had no chance either: only its silence beside a running
+    // loop counts.
+    const std::int64_t missed_ns = static_cast<std::int64_t>(skipped_periods) * kPeriod_ns;
+    if (interlocks_ != nullptr) inputs.interlocks = interlocks_->read(now_ns - missed_ns);
     if (requests_.emergency_stop.load(std::memory_order_acquire)) inputs.interlocks.emergency_stop = true;
     inputs.operator_stop = requests_.stop.exchange(false, std::memory_order_acq_rel);
     inputs.clear = requests_.clear.exchange(false, std::memory_order_acq_rel);

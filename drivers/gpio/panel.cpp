@@ -211,6 +211,9 @@ void Panel::publish(bool lost, std::int64_t now_ns) noexcept {
       interlocks.start_button_stuck = start_button_.stuck();
     }
   }
+  const bool was_silent = published_ns_ > 0 && now_ns - published_ns_ > settings_.lost_after_ns;
+  if (was_silent && !lost) trouble_ = 0;  // the loop has seen that, and no line is to blame
+  published_ns_ = now_ns;
   board().publish(interlocks, now_ns);
 }
 

@@ -95,6 +95,8 @@ class Panel {
   Contact fixture_;
   StartButton start_button_;
 
+  std::int64_t published_ns_ = 0;
+
   std::thread thread_;
   std::atomic<bool> stop_{false};
   std::atomic<bool> start_pressed_{false};

@@ -7,6 +7,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "clampd/record/file.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd {

@@ -132,7 +132,6 @@ void Daemon::report_state_changes() {
   if (state == StationState::Fault) {
     const FaultCause fault = core_.status().fault.load();
     spdlog::error("FAULT {}: {}", to_string(fault), fault_text(fault));
-    spdlog::error("DBG fault at {}", core_.status().fault_time_ns.load()/1000);
     if (fault == FaultCause::EmergencyStop && panel_ != nullptr && panel_->emergency_stop_opened_ns() > 0)
       spdlog::info(
           "the tick that stopped came {:.3f} ms after the contact opened",

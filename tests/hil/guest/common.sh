@@ -4,6 +4,7 @@
 ip() { /bin/ip "$@"; }
 
 fail() {
+  [ ! -e /tmp/station.log ] || tail -n 5 /tmp/station.log
   echo "FAILED: $*"
   exit 1
 }

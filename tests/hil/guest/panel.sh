@@ -1,4 +1,5 @@
-# The operator's panel in front of the bench's own GPIO chip: sourced after faults.sh.
+# The operator's panel in front of the bench's own GPIO chip: sourced after faults.sh. The contacts close to ground: a
+# line at 1 is an open contact.
 
 readonly chip=/sys/devices/platform/bench-gpio
 readonly driver=/sys/bus/platform/drivers/bench-gpio
@@ -7,6 +8,8 @@ readonly two_ticks_ms=2
 
 use_panel() {
   [ -e $chip/levels ] || fail "there is no GPIO chip"
+  # The kernel has words for a chip that is removed, and printing them on the console stops everything for milliseconds.
+  dmesg -n 1
   pull $start_line 1
   station_tables="[gpio]
 chip = \"bench-gpio\"
@@ -178,7 +181,7 @@ panel_fault() {
   clocks=$(eval "$5") || fail "$name: cannot cause it"
   expect_record 3 ERROR "$2" "$3" "$4"
   expect_end_of_drive "$clocks" "$7" 1
-  expect_levels "$name" relay=0
+  [ ! -e $chip/levels ] || expect_levels "$name" relay=0
   eval "$6" || fail "$name: cannot remove the cause"
   wait_until 10 "the fault can be cleared" clearable
   clear_fault
@@ -220,8 +223,6 @@ station_stopped() {
   wait_until 10 "the fault can be cleared" clearable
   expect_levels "$name" relay=0
   clear_fault
-  check "$id" 2
-  expect_pass "$id"
 }
 
 station_killed_with_relay() {
