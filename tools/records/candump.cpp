@@ -14,7 +14,8 @@
 namespace clampd {
 namespace {
 
-constexpr std::int64_t kPause_ns = 100 * kNanosecondsPerMillisecond;
+/// Whole turns of the 4-bit alive counter and one step: counter and sample clock still agree after it.
+constexpr std::int64_t kPause_ns = (6 * 16 + 1) * kPeriod_ns;
 
 /// 0 where it cannot be read.
 std::int64_t utc_ns(const std::string& rfc3339) {

@@ -13,7 +13,7 @@ namespace clampd {
 /// like. It is a reconstruction: records keep samples, not frames. Each row becomes the feedback frames of
 /// its instant and, half a period earlier, the command frame for the torque that acts from there; force and
 /// velocity are without the sensors' offsets, which the tare took away; repeats follow one another after
-/// pauses of 0.1 s. Counters, clocks and CRCs are as the codec makes them.
+/// pauses of about 0.1 s. Counters, clocks and CRCs are as the codec makes them.
 /// Errors: no runs, or their rows were removed by retention.
 Result<std::string> format_candump(const CheckRecord& record, const can::ProtocolCodec& codec,
                                    std::string_view interface);

@@ -106,6 +106,7 @@ Result<std::vector<GaugeQuantity>> gauge_of_csv(const std::string& text, const s
       quantities[i].readings.push_back({cells[part], cells[op], value});
     }
   }
+  if (width == 0) return failure(fmt::format("{}: there is no study in it: the file is empty", name));
   for (const auto& [column, tolerance] : tolerances)
     if (std::none_of(quantities.begin(), quantities.end(),
                      [&c = column](const auto& quantity) { return quantity.name == c; }))

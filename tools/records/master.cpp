@@ -104,7 +104,8 @@ MasterReport master_report(const MasterSettings& settings, const LimitSet& certi
   } else if (!drifting.empty()) {
     report.state = MasterState::Drifting;
     report.text = fmt::format(
-        "{} of the master brake {} moves, though within its tolerance: check it again, and have the station "
+        "{} of the master brake {} drifted, though within its tolerance: check it again, and have the "
+        "station "
         "looked after if that stays",
         drifting, settings.serial);
   } else {

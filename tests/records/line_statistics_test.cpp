@@ -1,0 +1,97 @@
+#include "tools/records/line_statistics.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "support/check_records.hpp"
+#include "tools/records/limits_view.hpp"
+
+namespace clampd {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+CheckRecord check(int minute, const std::string& serial, double k2, Verdict verdict = Verdict::Pass) {
+  CheckRecord record = support::make_check_record("2026112000" + std::to_string(10 + minute));
+  record.started = "2026-11-20T00:" + std::to_string(10 + minute) + ":00.000Z";
+  record.serial = serial;
+  record.verdict = verdict;
+  record.parameters = {{"k2", "N/rad^2", k2, 0.1, 30.0, 40.0, ParameterVerdict::Pass}};
+  return record;
+}
+
+TEST(LineStatistics, TakeTheLastValidCheckOfEachBrake) {
+  const LineStatistics found =
+      line_statistics({check(6, "D", 36.0, Verdict::Fail), check(1, "A", 33.0), check(2, "A", 34.0),
+                       check(3, "B", 35.0), check(4, "B", 99.0, Verdict::Error), check(5, "MASTER", 50.0)},
+                      "MASTER");
+  EXPECT_EQ(found.checks, 5u);
+  EXPECT_EQ(found.passed, 3u);
+  EXPECT_EQ(found.failed, 1u);
+  EXPECT_EQ(found.invalid, 1u);
+  EXPECT_EQ(found.simulated, 5u);
+  EXPECT_THAT(found.serials, ElementsAre("A", "B", "D"));
+  ASSERT_EQ(found.parameters.size(), 1u);
+  EXPECT_THAT(found.parameters[0].values, ElementsAre(34.0, 35.0, 36.0));
+  EXPECT_DOUBLE_EQ(found.parameters[0].capability.mean, 35.0);
+  EXPECT_DOUBLE_EQ(found.parameters[0].capability.ppk.value, 5.0 / 3.0);
+  EXPECT_FALSE(found.parameters[0].limits_changed);
+  EXPECT_THAT(format_statistics(found), HasSubstr("yield 75.0 %"));
+  EXPECT_EQ(statistics_json(found).at("parameters").at(0).at("ppk").at("value"), 5.0 / 3.0);
+}
+
+TEST(LineStatistics, NameTheRuleAndTheBrake) {
+  std::vector<CheckRecord> checks;
+  for (int i = 0; i < 20; ++i)
+    checks.push_back(check(i, "S" + std::to_string(i), i == 17 ? 39.0 : 35.0 + 0.1 * ((i * 7) % 5)));
+  checks[19].parameters[0].upper = 41.0;
+  const LineStatistics found = line_statistics(checks, "");
+  EXPECT_TRUE(found.parameters[0].limits_changed);
+  EXPECT_EQ(found.parameters[0].upper, 41.0);
+  const std::string text = format_statistics(found);
+  EXPECT_THAT(text, ::testing::ContainsRegex("k2 +S17 +Nelson 1 \\(Western Electric 1\\)"));
+  EXPECT_THAT(text, ::testing::ContainsRegex("k2 +S17 +moving range"));
+}
+
+TEST(LineStatistics, OfNothing) {
+  EXPECT_THAT(format_statistics(line_statistics({}, "")), HasSubstr("No checks"));
+  const LineStatistics one = line_statistics({check(1, "A", 33.0)}, "");
+  EXPECT_THAT(one.parameters, IsEmpty());
+  EXPECT_THAT(format_statistics(one), HasSubstr("at least two brakes"));
+}
+
+constexpr const char* kLimits = R"(revision = "1"
+author = "Ada"
+[parameters_normalised]
+k1 = {lower = 0.5, upper = 2}
+k2 = {lower = 0.85, upper = 1.15}
+TC = {lower = 0.5, upper = 2}
+Ts0 = {lower = 0.5, upper = 2}
+Tv = {lower = 0.5, upper = 2}
+mus = {lower = 0.5, upper = 2}
+ws = {lower = 0.5, upper = 2}
+)";
+
+TEST(LimitsHistory, SaysWhoChangedWhatAndWarnsOfAHiddenChange) {
+  std::string second = kLimits, third = kLimits;
+  second.replace(second.find("0.85"), 4, "0.80");
+  third.replace(third.find("\"1\""), 3, "\"2\"");
+  const auto limits = [](const std::string& contents, const std::string& revision) {
+    return LimitsRevision{"sha", revision, "Ada", "", "limits.toml", contents, "2026-11-20T00:00:00.000Z"};
+  };
+  const std::vector<LimitsStep> steps =
+      limits_steps({limits(kLimits, "1"), limits(second, "1"), limits(third, "2"), limits("garbage", "3")});
+  EXPECT_THAT(steps[0].changes, IsEmpty());
+  EXPECT_THAT(steps[1].changes, ElementsAre("k2: lower 29.92 -> 28.16 N/rad^2"));
+  EXPECT_TRUE(steps[1].same_revision);
+  EXPECT_THAT(steps[2].changes, ElementsAre("k2: lower 28.16 -> 29.92 N/rad^2"));
+  EXPECT_FALSE(steps[2].same_revision);
+  EXPECT_THAT(steps[3].changes, ElementsAre(HasSubstr("limits.toml")));
+  EXPECT_THAT(format_limits(steps), HasSubstr("WARNING"));
+  EXPECT_EQ(limits_json(steps).at("limits").size(), 4u);
+}
+
+}  // namespace
+}  // namespace clampd
