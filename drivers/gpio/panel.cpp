@@ -91,7 +91,10 @@ Result<void> Panel::open_lines() {
 }
 
 void Panel::close_lines() noexcept {
-  for (std::optional<Line>& line : lines_) line.reset();
+  for (std::size_t i = 0; i < kLineRoles; ++i) {
+    if (lines_[i]) states_[i] = LineState::Lost;
+    lines_[i].reset();
+  }
 }
 
 Result<void> Panel::start() {
@@ -214,12 +217,14 @@ void Panel::publish(bool lost, std::int64_t now_ns) noexcept {
   const bool was_silent = published_ns_ > 0 && now_ns - published_ns_ > settings_.lost_after_ns;
   if (was_silent && !lost) trouble_ = 0;  // the loop has seen that, and no line is to blame
   published_ns_ = now_ns;
+  lost_before_ = lost;
   board().publish(interlocks, now_ns);
 }
 
 bool Panel::lose(LineRole role, int error) noexcept {
   states_[index(role)] = LineState::Lost;
-  trouble_ = static_cast<std::uint32_t>(index(role)) + 1 + (static_cast<std::uint32_t>(error) << 8);
+  if (!lost_before_)  // what was lost first is what to look at; the rest often follows from it
+    trouble_ = static_cast<std::uint32_t>(index(role)) + 1 + (static_cast<std::uint32_t>(error) << 8);
   return false;
 }
 

@@ -96,6 +96,7 @@ class Panel {
   StartButton start_button_;
 
   std::int64_t published_ns_ = 0;
+  bool lost_before_ = false;
 
   std::thread thread_;
   std::atomic<bool> stop_{false};
@@ -103,7 +104,8 @@ class Panel {
   std::atomic<bool> concluding_{false};
   std::atomic<int> last_verdict_{-1};
   std::array<std::atomic<LineState>, kLineRoles> states_{};
-  std::atomic<std::uint32_t> trouble_{0};  ///< the latest: role + 1, errno << 8; 0 errno: the guard
+  std::atomic<std::uint32_t> trouble_{
+      0};  ///< the latest to be lost first: role + 1, errno << 8; 0 errno: the guard
   std::atomic<std::int64_t> emergency_stop_opened_ns_{0};
 };
 

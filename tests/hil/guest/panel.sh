@@ -181,15 +181,28 @@ panel_fault() {
   clocks=$(eval "$5") || fail "$name: cannot cause it"
   expect_record 3 ERROR "$2" "$3" "$4"
   expect_end_of_drive "$clocks" "$7" 1
-  [ ! -e $chip/levels ] || expect_levels "$name" relay=0
+  expect_levels "$name" relay=0
   eval "$6" || fail "$name: cannot remove the cause"
   wait_until 10 "the fault can be cleared" clearable
   clear_fault
 }
 
-put_chip_back() {
+# Linux 6.1 warns at length when a chip goes whose interrupts are in use, and holds the processor for it: the first cause
+# that the loop sees may be another's silence. The lines that are lost show in the status all the same.
+chip_removed() {
+  name="chip removed"
+  echo "--- $name"
+  echo bench-gpio >$driver/unbind
+  wait_until 5 "the removed chip is a fault" station_is FAULT
+  expect "$name: the emergency stop is lost" [ "$(status panel/0/state)" = lost ]
+  expect_named "$(status panel/0/line)" $stop_line "emergency stop"
+  sleep 0.2
+  [ "$(status clearable)" = false ] || fail "$name: the fault could be cleared without the chip"
   echo bench-gpio >$driver/bind
   pull $start_line 1
+  wait_until 10 "the fault can be cleared" clearable
+  clear_fault
+  expect_levels "$name and put back" relay=0
 }
 
 relay_guard_killed() {

@@ -15,8 +15,7 @@ panel_fault "fixture opened" fixture-open $fixture_line "fixture closed" \
   "cause write $chip/pull '$fixture_line 1'" "pull $fixture_line 0" 25
 panel_fault "line unreadable" interlock-lost $stop_line "emergency stop" \
   "cause write $chip/broken $((1 << stop_line))" "echo 0 >$chip/broken" 5
-panel_fault "chip removed" interlock-lost $stop_line "emergency stop" \
-  "cause write $driver/unbind bench-gpio" "put_chip_back" 5
+chip_removed
 relay_guard_killed
 station_stopped
 station_killed_with_relay
