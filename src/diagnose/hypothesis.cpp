@@ -26,7 +26,7 @@ constexpr double kModestTorque_Nm = 0.008;
 constexpr double kStuck_nats = 30.0;
 /// No drive's torque is as noisy as this.
 constexpr double kImpossibleTorque_Nm = 0.05;
-constexpr int kMostFits = 4;
+constexpr std::size_t kMostFits = 4;
 /// The same of further choices, one after the other, that bring nothing more.
 constexpr int kMostMisses = 2;
 /// Enough to see whether a candidate is among the best; those are then fitted to the end.
@@ -36,7 +36,9 @@ constexpr int kRoughIterations = 14;
 constexpr double kScanFirst = 0.4;
 constexpr double kScanLast = 40.0;
 constexpr double kScanStep = 0.12;
-constexpr std::size_t kPeaks = 3;
+constexpr std::size_t kPeaks = 2;
+constexpr double kNeighbourhood = 0.5;
+constexpr double kFineStep = 0.025;
 constexpr Eigen::Index kScanTogether = 64;  // orders that fit the cache
 
 constexpr double kSpikeDegrees = 2.0;
@@ -159,25 +161,26 @@ void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std:
   }
 }
 
-/// Where a torque that is periodic in the motor angle promises most.
-void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
-  const std::vector<FilteredRun> filtered = filter_runs(hypothesis.runs, hypothesis.estimate);
-  if (filtered.empty()) return;
-  const auto orders = static_cast<Eigen::Index>((kScanLast - kScanFirst) / kScanStep) + 1;
-  const EffectInfo& info = info_of(*candidate.effect);
+/// A grid of orders of a torque that is periodic in the motor angle.
+struct Orders {
+  double first, step;
+  Eigen::Index count;
+  double operator[](Eigen::Index i) const { return first + step * static_cast<double>(i); }
+};
+
+/// What each order promises.
+std::vector<Start> scan(const Orders& orders, const Effect& effect, const SignalScorer& scorer,
+                        std::span<const FilteredRun> filtered) {
+  const EffectInfo& info = info_of(effect);
   std::vector<Start> found;
-  const SignalScorer scorer(hypothesis.runs, hypothesis.estimate);
-  for (Eigen::Index first = 0; first < orders; first += kScanTogether) {
-    const Eigen::Index count = std::min(kScanTogether, orders - first);
-    const auto order = [&](Eigen::Index i) {
-      return kScanFirst + kScanStep * static_cast<double>(first + i);
-    };
+  for (Eigen::Index first = 0; first < orders.count; first += kScanTogether) {
+    const Eigen::Index count = std::min(kScanTogether, orders.count - first);
     SignalColumns signals{SignalColumns::Kind::Torque, {}};
     for (const FilteredRun& run : filtered) {
       Eigen::MatrixXd rows(static_cast<Eigen::Index>(run.position_rad.size()), 2 * count);
       for (Eigen::Index i = 0; i < count; ++i)
         for (Eigen::Index k = 0; k < rows.rows(); ++k) {
-          const double angle = order(i) * run.position_rad[static_cast<std::size_t>(k)];
+          const double angle = orders[first + i] * run.position_rad[static_cast<std::size_t>(k)];
           rows(k, 2 * i) = -std::sin(angle);
           rows(k, 2 * i + 1) = -std::cos(angle);
         }
@@ -187,27 +190,54 @@ void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
     for (Eigen::Index i = 0; i < count; ++i) {
       const Eigen::Matrix2d information = scores.information.block<2, 2>(2 * i, 2 * i);
       const Eigen::Vector2d score = scores.score.segment<2>(2 * i);
-      if (!(information.determinant() > 1e-9 * information.trace() * information.trace())) continue;
-      const Eigen::Vector2d amplitude = information.ldlt().solve(score);
-      Start start{{candidate.effect, {amplitude[0], amplitude[1], order(i)}}, 0.5 * score.dot(amplitude)};
-      for (std::size_t p = 0; p < 2; ++p)
-        start.values.values[p] = std::clamp(start.values.values[p], 0.9 * info.parameters[p].lower,
-                                            0.9 * info.parameters[p].upper);
+      Start start{{&effect, {0.0, 0.0, orders[first + i]}}, 0.0};
+      if (information.determinant() > 1e-9 * information.trace() * information.trace()) {
+        const Eigen::Vector2d amplitude = information.ldlt().solve(score);
+        start.predicted_gain = 0.5 * score.dot(amplitude);
+        for (std::size_t p = 0; p < 2; ++p)
+          start.values.values[p] = std::clamp(amplitude[static_cast<Eigen::Index>(p)],
+                                              0.9 * info.parameters[p].lower, 0.9 * info.parameters[p].upper);
+      }
       found.push_back(std::move(start));
     }
   }
-  std::sort(found.begin(), found.end(),
-            [](const Start& a, const Start& b) { return a.predicted_gain > b.predicted_gain; });
-  for (const Start& start : found) {
-    const bool new_peak =
-        std::none_of(candidate.starts.begin(), candidate.starts.end(), [&](const Start& other) {
-          return std::abs(other.values.values[2] - start.values.values[2]) < 4.0 * kScanStep;
-        });
-    if (new_peak) candidate.starts.push_back(start);
-    if (candidate.starts.size() == kPeaks) break;
+  return found;
+}
+
+/// Starts at the peaks of what a scan over the orders promises. Runs over a short stretch of the motor angle
+/// make peaks beside the true one, too close for the scan, that a fit does not leave: the best are looked at
+/// closely.
+void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
+  const std::vector<FilteredRun> filtered = filter_runs(hypothesis.runs, hypothesis.estimate);
+  if (filtered.empty()) return;
+  const SignalScorer scorer(hypothesis.runs, hypothesis.estimate);
+  const Orders all{kScanFirst, kScanStep,
+                   static_cast<Eigen::Index>((kScanLast - kScanFirst) / kScanStep) + 1};
+  const auto promises_more = [](const Start& a, const Start& b) {
+    return a.predicted_gain > b.predicted_gain;
+  };
+  const auto order = [](const Start& start) { return start.values.values[2]; };
+  std::vector<Start> rough = scan(all, *candidate.effect, scorer, filtered);
+  std::sort(rough.begin(), rough.end(), promises_more);
+  std::vector<double> centres;
+  for (const Start& start : rough) {
+    if (centres.size() == kPeaks) break;
+    if (std::any_of(centres.begin(), centres.end(),
+                    [&](double other) { return std::abs(other - order(start)) < 2.0 * kNeighbourhood; }))
+      continue;
+    centres.push_back(order(start));
+    const double first = std::max(kScanFirst, order(start) - kNeighbourhood);
+    const std::vector<Start> fine =
+        scan({first, kFineStep, static_cast<Eigen::Index>(2.0 * kNeighbourhood / kFineStep) + 1},
+             *candidate.effect, scorer, filtered);
+    for (std::size_t i = 1; i + 1 < fine.size(); ++i)
+      if (promises_more(fine[i], fine[i - 1]) && !promises_more(fine[i + 1], fine[i]))
+        candidate.starts.push_back(fine[i]);
   }
+  std::sort(candidate.starts.begin(), candidate.starts.end(), promises_more);
+  if (candidate.starts.size() > kMostFits) candidate.starts.resize(kMostFits);
   // Neighbours of the grid see the same: so many of them are different questions.
-  candidate.alternatives = 0.5 * static_cast<double>(orders);
+  candidate.alternatives = 0.5 * static_cast<double>(all.count);
 }
 
 }  // namespace
@@ -257,7 +287,7 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   candidate.is_fitted = true;
   const double noise = hypothesis.estimate.noise.torque_Nm;
   Hypothesis best;
-  int fits = 0;
+  std::size_t fits = 0;
   const auto gain = [&] {
     return best.possible() ? best.log_likelihood() - hypothesis.log_likelihood()
                            : -std::numeric_limits<double>::infinity();

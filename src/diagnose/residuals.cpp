@@ -89,12 +89,12 @@ Correlation spread_against_rates(std::span<const FilteredRun> runs, std::span<co
   for (std::size_t r = 0; r < runs.size(); ++r) {
     const FilteredRun& run = runs[r];
     const std::vector<double>& z = force ? run.force : run.velocity;
-    for (std::size_t k = 1; k + 1 < z.size(); ++k) {
+    for (std::size_t k = 1; k < z.size(); ++k) {
       if (!std::isfinite(z[k])) continue;
-      const double gap = data[r].time_s[k + 1] - data[r].time_s[k - 1];
+      const double gap = data[r].time_s[k] - data[r].time_s[k - 1];
       rows.emplace_back(1.0, std::abs(run.true_velocity_rad_s[k]),
-                        std::abs(run.predicted_force_N[k + 1] - run.predicted_force_N[k - 1]) / gap,
-                        std::abs(run.true_velocity_rad_s[k + 1] - run.true_velocity_rad_s[k - 1]) / gap);
+                        std::abs(run.predicted_force_N[k] - run.predicted_force_N[k - 1]) / gap,
+                        std::abs(run.true_velocity_rad_s[k] - run.true_velocity_rad_s[k - 1]) / gap);
       squares.push_back(z[k] * z[k]);
     }
   }
@@ -254,9 +254,13 @@ std::vector<Eigen::MatrixXd> rates_of(std::span<const FilteredRun> filtered, std
         : kind == SignalColumns::Kind::VelocityReading ? filtered[r].true_velocity_rad_s
                                                        : runs[r].torque_Nm;
     Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(signal.size()), 1);
-    for (std::size_t k = 1; k + 1 < signal.size(); ++k)
+    for (std::size_t k = 1; k + 1 < signal.size(); ++k) {
+      // A prediction of what comes after a reading has used that reading, and a reading of torque is part of
+      // what it drives: neither may be compared with itself.
+      const std::size_t to = kind == SignalColumns::Kind::Torque ? k + 1 : k;
       rows(static_cast<Eigen::Index>(k), 0) =
-          (signal[k + 1] - signal[k - 1]) / (runs[r].time_s[k + 1] - runs[r].time_s[k - 1]) * 1e-3;
+          (signal[to] - signal[k - 1]) / (runs[r].time_s[to] - runs[r].time_s[k - 1]) * 1e-3;
+    }
     columns.push_back(std::move(rows));
   }
   return columns;

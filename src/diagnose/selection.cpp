@@ -27,6 +27,8 @@ constexpr double kFarBehind_nats = 40.0;
 /// A further effect must bring this share of what the others bring: an effect of another form than the
 /// candidate's leaves that much behind.
 constexpr double kMaterial = 0.03;
+/// Two things wrong at once are so much rarer than one.
+constexpr double kFurtherEffect = 0.1;
 
 double rank(const Candidate& candidate) {
   return candidate.is_fitted && candidate.fitted.possible() ? candidate.evidence : -1e9;
@@ -113,9 +115,10 @@ class Selector {
     return candidates;
   }
 
-  double alarm() const { return alarm_; }
-  bool is_alarm(const Candidate& candidate) const {
-    return candidate.is_fitted && candidate.fitted.possible() && candidate.evidence > alarm_;
+  /// Of one effect beside so many others.
+  double alarm(std::size_t others) const { return others == 0 ? alarm_ : alarm_ - std::log(kFurtherEffect); }
+  bool is_alarm(const Candidate& candidate, std::size_t others) const {
+    return candidate.is_fitted && candidate.fitted.possible() && candidate.evidence > alarm(others);
   }
 
  private:
@@ -162,13 +165,13 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
         stage == 0 ? "trying every effect" : fmt::format("trying every effect beside {} found", stage)));
     share = next;
     const std::vector<Candidate>& candidates = selection.stages.back();
-    if (candidates.empty() || !selector.is_alarm(candidates.front())) break;
+    if (candidates.empty() || !selector.is_alarm(candidates.front(), selection.effects.size())) break;
     const Candidate& best = candidates.front();
     if (best.gain < kMaterial * formed) break;
     if (best.name() != "outliers") formed += best.gain;
-    selection.effects.push_back(
-        {std::string(best.name()), best.gain, best.evidence,
-         rivals_among(candidates, best.name(), best.evidence, best.fitted, selector.alarm())});
+    selection.effects.push_back({std::string(best.name()), best.gain, best.evidence,
+                                 rivals_among(candidates, best.name(), best.evidence, best.fitted,
+                                              selector.alarm(selection.effects.size()))});
     before.push_back(selection.chosen);
     selection.chosen = best.fitted;
   }
@@ -195,7 +198,8 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
     Selected& selected = selection.effects[e];
     double evidence = evidence_of(gain, selection.chosen.degrees - reduced.degrees,
                                   itself == candidates.end() ? 1.0 : itself->alternatives);
-    if (evidence < selector.alarm()) {
+    const double alarm = selector.alarm(selection.effects.size() - 1);
+    if (evidence < alarm) {
       selection.chosen = reduced;
       selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
       e = 0;
@@ -207,7 +211,7 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
       evidence = itself->evidence;
     selected.gain = gain;
     selected.evidence = evidence;
-    selected.rivals = rivals_among(candidates, name, evidence, selection.chosen, selector.alarm());
+    selected.rivals = rivals_among(candidates, name, evidence, selection.chosen, alarm);
     const bool exchange = !selected.rivals.empty() && selected.rivals.front().evidence > evidence;
     if (exchange && exchanges++ < options.most_effects) {
       // The new one takes its place at the end; what it replaces becomes its rival.
@@ -216,7 +220,7 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
       selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
       selection.effects.push_back(
           {std::string(better.name()), better.gain, better.evidence,
-           rivals_among(candidates, better.name(), better.evidence, better.fitted, selector.alarm())});
+           rivals_among(candidates, better.name(), better.evidence, better.fitted, alarm)});
       continue;
     }
     ++e;

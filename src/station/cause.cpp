@@ -1,5 +1,7 @@
 #include "clampd/station/cause.hpp"
 
+#include <algorithm>
+
 namespace clampd {
 
 std::optional<CauseRecord> cause_of(const Diagnosis& diagnosis) {
@@ -14,6 +16,22 @@ std::optional<CauseRecord> cause_of(const Diagnosis& diagnosis) {
   cause.rivals = diagnosis.rivals;
   cause.summary = diagnosis.summary;
   return cause;
+}
+
+bool is_in_the_readings(const Diagnosis& diagnosis) {
+  if (diagnosis.verdict != DiagnosisVerdict::Explained && diagnosis.verdict != DiagnosisVerdict::Ambiguous)
+    return false;
+  const auto of_the_brake = [](std::string_view name) {
+    const Effect* effect = find_effect(name);
+    if (effect == nullptr) return true;
+    const Location location = info_of(*effect).location;
+    return location == Location::TorqueBalance || location == Location::Stiffness;
+  };
+  return std::none_of(diagnosis.effects.begin(), diagnosis.effects.end(),
+                      [&](const NamedEffect& effect) { return of_the_brake(effect.name); }) &&
+         std::none_of(diagnosis.rivals.begin(), diagnosis.rivals.end(), [&](const auto& group) {
+           return std::any_of(group.begin(), group.end(), of_the_brake);
+         });
 }
 
 }  // namespace clampd

@@ -167,22 +167,44 @@ CheckSession::Progress CheckSession::progress() const {
           worker_.identified()};
 }
 
-/// The verdict stays: runs that nothing explains, or something else than the model, say nothing about limits.
-void CheckSession::name_cause(CheckRecord& record) const {
+std::optional<Diagnosis> CheckSession::name_cause(CheckRecord& record) const {
   std::vector<Run> runs;
   for (const RunRecord& run : record.runs) runs.push_back(run.run);
   DiagnoseOptions options;
   options.nominal = configuration_.model;
-  const Result<Diagnosis> diagnosis = diagnoser_(runs, options);
+  Result<Diagnosis> diagnosis = diagnoser_(runs, options);
   if (!diagnosis) {
     record.reason += fmt::format(" The cause could not be sought: {}.", diagnosis.error().message);
-    return;
+    return std::nullopt;
   }
   record.cause = cause_of(*diagnosis);
-  record.reason += record.cause
-                       ? " " + diagnosis->summary
-                       : " A diagnosis finds no cause but noise: is validity.torque_noise_Nm too low, "
-                         "or do the runs differ?";
+  if (record.cause) record.reason += " " + diagnosis->summary;
+  return std::move(*diagnosis);
+}
+
+/// A brake fails for what it is, not for how it was read: where readings or timing are at fault, and with
+/// that taken into account no parameter fails any more, the verdict is the station's ERROR.
+void CheckSession::question_failure(CheckRecord& record) const {
+  const std::string failure = record.reason;
+  const std::optional<Diagnosis> diagnosis = name_cause(record);
+  if (!diagnosis || !is_in_the_readings(*diagnosis)) return;
+  for (const ParameterRecord& failed : record.parameters) {
+    if (failed.value >= failed.lower && failed.value <= failed.upper) continue;
+    const auto index = find_parameter(failed.name);
+    const auto after =
+        std::find_if(diagnosis->parameters_after.begin(), diagnosis->parameters_after.end(),
+                     [&](const EstimatedParameter& parameter) { return parameter.name == failed.name; });
+    if (!index || after == diagnosis->parameters_after.end() ||
+        judge_parameter(after->value, after->sd, limits_.intervals[*index], limits_.guard_band_k) ==
+            ParameterVerdict::Fail)
+      return;
+  }
+  record.verdict = Verdict::Error;
+  record.marginal = false;
+  record.reason = fmt::format(
+      "The station reads the brake wrongly, so that nothing is said about the brake: {} "
+      "Read as if that were right: {}",
+      diagnosis->summary, failure);
 }
 
 CheckRecord CheckSession::finish(CheckOutcome outcome) {
@@ -244,7 +266,13 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   record.marginal = judgement.marginal;
   record.reason = std::move(judgement.reason);
   record.parameters = std::move(judgement.parameters);
-  if (judgement.unexplained && configuration_.check.diagnose) name_cause(record);
+  if (!configuration_.check.diagnose) return record;
+  // Runs that nothing explains, or something else than the model, say nothing about limits: still an ERROR.
+  if (judgement.unexplained && name_cause(record) && !record.cause)
+    record.reason +=
+        " A diagnosis finds no cause but noise: is validity.torque_noise_Nm too low, or do the runs differ?";
+  // An extended model already knows what is wrong with the readings.
+  if (record.verdict == Verdict::Fail && configuration_.check.model.empty()) question_failure(record);
   return record;
 }
 

@@ -15,6 +15,7 @@ namespace clampd {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
 using ::testing::StartsWith;
 
 using Runs = std::span<const Run>;  // inside a TEST, plain Run is a member of testing::Test
@@ -194,11 +195,54 @@ TEST_P(Session, ADiagnosisNeverLosesTheResult) {
   EXPECT_FALSE(noisy.cause);
 }
 
-TEST_P(Session, DiagnosesOnlyWhatIsUnexplainedAndOnlyIfWanted) {
-  check(samples, finds(nominal_parameters()));
+/// A diagnosis that puts this effect forward, and the parameters that are left then.
+Diagnosis names(const char* effect, const ParameterVector& after) {
+  Diagnosis diagnosis;
+  diagnosis.verdict = DiagnosisVerdict::Explained;
+  diagnosis.summary = "Something is late.";
+  NamedEffect named;
+  named.name = effect;
+  named.location = info_of(*find_effect(effect)).location;
+  diagnosis.effects = {named};
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const double value = after[static_cast<Eigen::Index>(i)];
+    diagnosis.parameters_after.push_back({std::string(kParameterTable[i].name),
+                                          std::string(kParameterTable[i].unit), value,
+                                          0.01 * std::abs(value)});
+  }
+  return diagnosis;
+}
+
+TEST_P(Session, ABrakeDoesNotFailForHowItIsRead) {
   ParameterVector soft = nominal_parameters();
   soft[k2] *= 0.7;
-  check(samples, finds(soft));
+  diagnosis = names("force-lag", nominal_parameters());
+  const CheckRecord misread = check(samples, finds(soft));
+  EXPECT_EQ(misread.verdict, Verdict::Error);
+  EXPECT_THAT(misread.reason, StartsWith("The station reads the brake wrongly"));
+  EXPECT_THAT(misread.reason, HasSubstr("Something is late."));
+  EXPECT_THAT(misread.reason, HasSubstr("k2 is"));
+  ASSERT_TRUE(misread.cause);
+  EXPECT_EQ(misread.cause->location, "force-reading");
+
+  diagnosis = names("force-lag", soft);
+  EXPECT_EQ(check(samples, finds(soft)).verdict, Verdict::Fail) << "it fails read rightly too";
+  diagnosis = names("backlash", nominal_parameters());
+  const CheckRecord worn = check(samples, finds(soft));
+  EXPECT_EQ(worn.verdict, Verdict::Fail) << "that is the brake itself";
+  EXPECT_TRUE(worn.cause);
+  diagnosis = names("force-lag", nominal_parameters());
+  diagnosis->rivals = {{"force-lag", "pad-damping"}};
+  EXPECT_EQ(check(samples, finds(soft)).verdict, Verdict::Fail) << "it may be the brake itself";
+  diagnosis = Diagnosis{};  // adequate
+  const CheckRecord plain = check(samples, finds(soft));
+  EXPECT_EQ(plain.verdict, Verdict::Fail);
+  EXPECT_FALSE(plain.cause);
+  EXPECT_THAT(plain.reason, Not(HasSubstr("diagnosis")));
+}
+
+TEST_P(Session, DiagnosesWhatFailsOrIsUnexplainedAndOnlyIfWanted) {
+  check(samples, finds(nominal_parameters()));
   EXPECT_EQ(diagnosed, 0);
   configuration.check.diagnose = false;
   EXPECT_FALSE(check(samples, finds(nominal_parameters(), 5000.0)).cause);

@@ -92,7 +92,7 @@ struct CheckRecord {
   bool marginal = false;
   std::string reason;  ///< one sentence a technician understands
   FaultCause fault = FaultCause::None;
-  std::optional<CauseRecord> cause;  ///< of an ERROR whose runs the model does not explain
+  std::optional<CauseRecord> cause;  ///< of an ERROR or FAIL whose runs the model does not explain
 
   std::vector<ParameterRecord> parameters;    ///< the seven, then "EFFECT.PARAMETER" of an extended model
   std::vector<double> covariance_normalised;  ///< 7 x 7, row-major; empty where there is no fit

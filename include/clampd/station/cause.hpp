@@ -10,4 +10,8 @@ namespace clampd {
 /// What a check's record keeps of a diagnosis; nothing where the base model explains the runs.
 std::optional<CauseRecord> cause_of(const Diagnosis& diagnosis);
 
+/// Whether all that the diagnosis puts forward, rivals too, is in how the station reads the brake: readings or
+/// their timing, never the brake itself.
+bool is_in_the_readings(const Diagnosis& diagnosis);
+
 }  // namespace clampd

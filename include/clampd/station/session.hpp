@@ -73,15 +73,16 @@ class CheckSession {
   /// Every sample of the check, in the order of the ring.
   void consume(const Sample& sample);
 
-  /// The record with its verdict. Once only. Takes some seconds more where the model does not explain the
-  /// runs, which are then diagnosed if the configuration says so.
+  /// The record with its verdict. Once only. Takes some seconds more where the brake fails or the model does
+  /// not explain the runs, which are then diagnosed if the configuration says so.
   CheckRecord finish(CheckOutcome outcome);
 
   const std::string& id() const { return record_.id; }
   Progress progress() const;
 
  private:
-  void name_cause(CheckRecord& record) const;
+  std::optional<Diagnosis> name_cause(CheckRecord& record) const;
+  void question_failure(CheckRecord& record) const;
 
   StationConfiguration configuration_;
   LimitSet limits_;
