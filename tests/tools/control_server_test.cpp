@@ -50,6 +50,16 @@ class ToyStation final : public ControlTarget {
     return nlohmann::ordered_json::array();
   }
   Result<nlohmann::ordered_json> result(const std::string& id) override { return failure("no check " + id); }
+  Result<nlohmann::ordered_json> run(const std::string& id, std::size_t number) override {
+    return nlohmann::ordered_json{{"of", id}, {"run", number}};
+  }
+  Result<nlohmann::ordered_json> statistics(std::uint32_t limit) override {
+    return nlohmann::ordered_json{{"limit", limit}};
+  }
+  nlohmann::ordered_json reference() override { return nlohmann::ordered_json::object(); }
+  nlohmann::ordered_json live(std::uint64_t run, std::size_t row) override {
+    return {{"run", run}, {"row", row}};
+  }
 
   std::string serial;
   std::string next_serial;

@@ -91,7 +91,10 @@ std::optional<CheckRecord> CheckConductor::pump(Instant now) {
       busy() && core_.status().checks_finished.load(std::memory_order_acquire) != finished_before_;
   Sample sample;
   while (core_.ring().pop(sample))
-    if (busy() && sample.phase != CheckPhase::None) session_->consume(sample);
+    if (busy() && sample.phase != CheckPhase::None) {
+      session_->consume(sample);
+      if (watcher_) watcher_(sample);
+    }
   if (finished) {
     if (mode_ == WorkerMode::Synchronous) return keep(session_->finish(outcome_at(now)));
     conclusion_ =

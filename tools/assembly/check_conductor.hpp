@@ -35,6 +35,9 @@ class CheckConductor {
   /// nothing.
   void explain_faults_by(std::function<std::string(FaultCause)> explain) { explain_ = std::move(explain); }
 
+  /// Who else sees every sample of a check, in the order of the ring, from within pump().
+  void show_samples_to(std::function<void(const Sample&)> watcher) { watcher_ = std::move(watcher); }
+
   /// Starts a check. Errors: the request is not valid, the station is not IDLE (with its fault), a check is
   /// under way.
   Result<void> begin(const CheckRequest& request, Instant now);
@@ -59,6 +62,7 @@ class CheckConductor {
   CheckStore* store_;
   WorkerMode mode_;
   std::function<std::string(FaultCause)> explain_;
+  std::function<void(const Sample&)> watcher_;
   rt::CheckPlan plan_;
   std::unique_ptr<CheckSession> session_;
   std::string serial_;

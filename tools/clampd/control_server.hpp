@@ -23,13 +23,18 @@ class ControlTarget {
   virtual Result<nlohmann::ordered_json> results(const std::string& serial, const std::string& verdict,
                                                  std::uint32_t limit) = 0;
   virtual Result<nlohmann::ordered_json> result(const std::string& id) = 0;
+  virtual Result<nlohmann::ordered_json> run(const std::string& id, std::size_t number) = 0;
+  virtual Result<nlohmann::ordered_json> statistics(std::uint32_t limit) = 0;
+  virtual nlohmann::ordered_json reference() = 0;
+  virtual nlohmann::ordered_json live(std::uint64_t run, std::size_t row) = 0;
 };
 
-/// The control API of tools/control/messages.hpp over HTTP.
+/// The control API of tools/control/messages.hpp over HTTP, and the screen.
 class ControlServer {
  public:
-  /// Binds and starts to serve. An empty token file: no token is asked for. Errors: the address is taken or
-  /// not ours, the token file cannot be written.
+  /// Binds and starts to serve. An empty token file: no token is asked for; one with a token in it, that is
+  /// ours and not readable by everybody, is used again, so that a restart locks no screen out. Errors: the
+  /// address is taken or not ours, the token file cannot be written.
   static Result<std::unique_ptr<ControlServer>> start(ControlTarget& target, const std::string& address,
                                                       int port, const std::string& token_file);
   ~ControlServer();

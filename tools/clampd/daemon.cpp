@@ -12,6 +12,7 @@
 #include "clampd/base/clock.hpp"
 #include "clampd/base/version.hpp"
 #include "rt/policy.hpp"
+#include "tools/records/line_statistics.hpp"
 #include "tools/records/master.hpp"
 #include "tools/records/retention.hpp"
 
@@ -30,14 +31,23 @@ assembly::Instant instant_now() {
 
 Daemon::Daemon(const assembly::PreparedStation& station, can::SocketCanBus& bus, CheckStore& store,
                gpio::Panel* panel)
+    : Daemon(station, bus, store, panel, &bus, nullptr) {}
+
+Daemon::Daemon(const assembly::PreparedStation& station, assembly::SimulatedBench& bench, CheckStore& store)
+    : Daemon(station, bench.bus(), store, nullptr, nullptr, &bench) {}
+
+Daemon::Daemon(const assembly::PreparedStation& station, can::FrameBus& bus, CheckStore& store,
+               gpio::Panel* panel, can::SocketCanBus* socket, assembly::SimulatedBench* bench)
     : station_(station),
-      bus_(bus),
       store_(store),
       panel_(panel),
+      socket_(socket),
       port_(bus, station.codec),
       core_(port_, station.supervisor, rt::ControlCore::kRingCapacity, rt::kPolicy,
             panel == nullptr ? nullptr : &panel->board()),
       conductor_(station, core_, &store, WorkerMode::Background) {
+  if (bench != nullptr) simulated_loop_.emplace(*bench, core_);
+  conductor_.show_samples_to([this](const Sample& sample) { live_.take(sample); });
   if (panel_ != nullptr)
     conductor_.explain_faults_by([panel](FaultCause cause) { return panel->explain(cause); });
 }
@@ -46,7 +56,8 @@ Result<void> Daemon::start() {
   if (panel_ != nullptr)
     if (Result<void> reading = panel_->start(); !reading) return reading;
   const RealtimeSettings& realtime = station_.configuration.realtime;
-  return loop_.start(rt::CyclicThreadSettings{realtime.priority, realtime.cpu, realtime.lock_memory}, core_);
+  const rt::CyclicThreadSettings settings{realtime.priority, realtime.cpu, realtime.lock_memory};
+  return simulated_loop_ ? loop_.start(settings, *simulated_loop_) : loop_.start(settings, core_);
 }
 
 void Daemon::serve(const std::atomic<bool>& quit) {
@@ -143,8 +154,8 @@ void Daemon::report_state_changes() {
 }
 
 void Daemon::reopen_bus_if_gone() {
-  if (core_.health().link != LinkState::Gone) return;
-  if (bus_.reopen()) spdlog::info("interface {} is back", station_.configuration.can.interface);
+  if (socket_ == nullptr || core_.health().link != LinkState::Gone) return;
+  if (socket_->reopen()) spdlog::info("interface {} is back", station_.configuration.can.interface);
 }
 
 control::StationStatus Daemon::status() {
@@ -167,6 +178,8 @@ control::StationStatus Daemon::status() {
   status.repeat = board.repeat.load();
   status.repeats = conductor_.progress().repeats;
   status.serial = conductor_.serial();
+  status.check = check_number_;
+  status.judging = conductor_.concluding();
   if (last_record_) status.last_verdict = std::string(to_string(last_record_->verdict));
   status.ticks = board.ticks.load();
   status.skipped = board.skipped.load();
@@ -276,6 +289,53 @@ Result<nlohmann::ordered_json> Daemon::results(const std::string& serial, const 
 Result<nlohmann::ordered_json> Daemon::result(const std::string& id) {
   const std::lock_guard lock(mutex_);
   return store_.load(id).map([](const CheckRecord& record) { return check_json(record); });
+}
+
+// What follows reads much of the archive and must not hold up a check: it opens the store a second time.
+
+Result<nlohmann::ordered_json> Daemon::run(const std::string& id, std::size_t number) {
+  const Result<CheckStore> archive =
+      CheckStore::open(station_.configuration.database, CheckStore::Access::ReadOnly);
+  if (!archive) return tl::unexpected(archive.error());
+  const Result<CheckRecord> record = archive->load(id);
+  if (!record) return tl::unexpected(record.error());
+  if (number >= record->runs.size())
+    return failure(fmt::format("check {} has {} runs", record->id, record->runs.size()));
+  const Run& run = record->runs[number].run;
+  return nlohmann::ordered_json{{"run", number},
+                                {"time_s", run.time_s},
+                                {"force_N", run.force_N},
+                                {"velocity_rad_s", run.velocity_rad_s},
+                                {"torque_Nm", run.torque_Nm}};
+}
+
+Result<nlohmann::ordered_json> Daemon::statistics(std::uint32_t limit) {
+  CheckFilter filter;
+  filter.limit = limit;
+  return CheckStore::open(station_.configuration.database, CheckStore::Access::ReadOnly)
+      .and_then([&](const CheckStore& archive) { return archive.load_results(filter); })
+      .map([&](std::vector<CheckRecord> checks) {
+        return statistics_json(line_statistics(std::move(checks), station_.configuration.master.serial));
+      });
+}
+
+nlohmann::ordered_json Daemon::reference() {
+  nlohmann::ordered_json force = nlohmann::ordered_json::array();
+  nlohmann::ordered_json velocity = force;
+  nlohmann::ordered_json torque = force;
+  for (const ReferenceRow& row : station_.plan.reference.rows) {
+    force.push_back(row.force_N);
+    velocity.push_back(row.velocity_rad_s);
+    torque.push_back(row.torque_Nm);
+  }
+  return {{"period_s", kPeriod_s},
+          {"force_N", std::move(force)},
+          {"velocity_rad_s", std::move(velocity)},
+          {"torque_Nm", std::move(torque)}};
+}
+
+nlohmann::ordered_json Daemon::live(std::uint64_t run, std::size_t row) {
+  return live_.since(run, row);
 }
 
 }  // namespace clampd::daemon

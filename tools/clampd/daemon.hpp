@@ -7,6 +7,7 @@
 
 #include "clampd/archive/store.hpp"
 #include "clampd/base/result.hpp"
+#include "drivers/can/bus.hpp"
 #include "drivers/can/can_brake.hpp"
 #include "drivers/can/socketcan.hpp"
 #include "drivers/gpio/panel.hpp"
@@ -14,17 +15,21 @@
 #include "rt/cyclic_thread.hpp"
 #include "tools/assembly/check_conductor.hpp"
 #include "tools/assembly/prepared_station.hpp"
+#include "tools/assembly/simulated_bench.hpp"
 #include "tools/clampd/control_server.hpp"
+#include "tools/clampd/live_feed.hpp"
 
 namespace clampd::daemon {
 
-/// The station at work: the real-time loop on SocketCAN, the conductor that empties its ring, and what the
-/// control API asks for. Everything here runs outside of the real-time thread.
+/// The station at work: the real-time loop on SocketCAN or a simulated bench, the conductor that empties its
+/// ring, and what the control API asks for. Everything here runs outside of the real-time thread.
 class Daemon final : public ControlTarget {
  public:
   /// `station`, `bus`, `store` and `panel` must outlive this. Without a panel the station has no interlocks.
   Daemon(const assembly::PreparedStation& station, can::SocketCanBus& bus, CheckStore& store,
          gpio::Panel* panel);
+  /// The same without CAN, on a simulated brake, which must outlive this too.
+  Daemon(const assembly::PreparedStation& station, assembly::SimulatedBench& bench, CheckStore& store);
 
   /// Starts the loop thread. Errors: no right to real time, with what to change.
   Result<void> start();
@@ -42,8 +47,14 @@ class Daemon final : public ControlTarget {
   Result<nlohmann::ordered_json> results(const std::string& serial, const std::string& verdict,
                                          std::uint32_t limit) override;
   Result<nlohmann::ordered_json> result(const std::string& id) override;
+  Result<nlohmann::ordered_json> run(const std::string& id, std::size_t number) override;
+  Result<nlohmann::ordered_json> statistics(std::uint32_t limit) override;
+  nlohmann::ordered_json reference() override;
+  nlohmann::ordered_json live(std::uint64_t run, std::size_t row) override;
 
  private:
+  Daemon(const assembly::PreparedStation& station, can::FrameBus& bus, CheckStore& store, gpio::Panel* panel,
+         can::SocketCanBus* socket, assembly::SimulatedBench* bench);
   void pump();
   void report_state_changes();
   void serve_panel();
@@ -53,12 +64,15 @@ class Daemon final : public ControlTarget {
   void reopen_bus_if_gone();
 
   const assembly::PreparedStation& station_;
-  can::SocketCanBus& bus_;
   CheckStore& store_;
   gpio::Panel* panel_;
+  can::SocketCanBus* socket_;  ///< null: on a simulated bench
   can::CanBrake port_;
   rt::ControlCore core_;
+  std::optional<assembly::SimulatedBench::Loop> simulated_loop_;
   rt::CyclicThread loop_;
+
+  LiveFeed live_;
 
   std::mutex mutex_;  ///< guards all below, and store_
   assembly::CheckConductor conductor_;

@@ -29,15 +29,38 @@ int refuse(const clampd::Error& error) {
   return clampd::cli::kBadInput;
 }
 
-int run(const std::string& file) {
+/// On a simulated brake the loop's clock is a count of ticks, which asks no real time of the machine.
+void simulate_the_brake(clampd::StationConfiguration& configuration) {
+  configuration.simulated_brake = true;
+  configuration.can.interface = "simulated";
+  configuration.realtime = {0, -1, false};
+  configuration.gpio = {};
+}
+
+int serve(clampd::daemon::Daemon& daemon, const clampd::StationConfiguration& configuration) {
   using namespace clampd;
-  const Result<StationConfiguration> configuration = assembly::load_configuration(file);
+  if (const Result<void> started = daemon.start(); !started) return refuse(started.error());
+  const auto server = daemon::ControlServer::start(
+      daemon, configuration.control.address, configuration.control.port, configuration.control.token_file);
+  if (!server) return refuse(server.error());
+  spdlog::info("clampd {} on {}, control API on {}:{}", kVersion, configuration.can.interface,
+               configuration.control.address, (*server)->port());
+  daemon.serve(quit);
+  spdlog::info("clampd ends; the drive is off");
+  return cli::kSuccess;
+}
+
+int run(const std::string& file, bool simulated, const std::string& plant_file) {
+  using namespace clampd;
+  Result<StationConfiguration> configuration = assembly::load_configuration(file);
   if (!configuration) return refuse(configuration.error());
+  if (simulated) simulate_the_brake(*configuration);
   if (configuration->embedded())
     return refuse(
         {"no CAN interface is configured: set [can] interface in " +
          (configuration->file.empty() ? std::string("/etc/clampd/station.toml") : configuration->file) +
-         ". For a simulated brake without CAN, `clampctl run` needs no daemon"});
+         ". For a simulated brake without CAN: `clampd --simulated`, or `clampctl run`, which needs no "
+         "daemon"});
   const Result<assembly::PreparedStation> station = assembly::prepare_station(*configuration);
   if (!station) return refuse(station.error());
   // First of all: the relay's guard is forked off, and takes along what is open and which threads there are.
@@ -49,21 +72,20 @@ int run(const std::string& file) {
   }
   Result<CheckStore> store = CheckStore::open(configuration->database);
   if (!store) return refuse(store.error());
+  quit_on_signals();
+  if (simulated) {
+    const Result<sim::PlantConfiguration> plant =
+        assembly::load_plant(plant_file.empty() ? configuration->plant_file : plant_file);
+    if (!plant) return refuse(plant.error());
+    assembly::SimulatedBench bench(*station, *plant);
+    daemon::Daemon daemon(*station, bench, *store);
+    return serve(daemon, *configuration);
+  }
   Result<std::unique_ptr<can::SocketCanBus>> bus =
       can::SocketCanBus::open(configuration->can.interface, station->codec.feedback_ids());
   if (!bus) return refuse(bus.error());
-
-  quit_on_signals();
   daemon::Daemon daemon(*station, **bus, *store, panel.get());
-  if (const Result<void> started = daemon.start(); !started) return refuse(started.error());
-  const auto server = daemon::ControlServer::start(
-      daemon, configuration->control.address, configuration->control.port, configuration->control.token_file);
-  if (!server) return refuse(server.error());
-  spdlog::info("clampd {} on {}, control API on {}:{}", kVersion, configuration->can.interface,
-               configuration->control.address, (*server)->port());
-  daemon.serve(quit);
-  spdlog::info("clampd ends; the drive is off");
-  return cli::kSuccess;
+  return serve(daemon, *configuration);
 }
 
 }  // namespace
@@ -73,8 +95,16 @@ int main(int argc, char** argv) {
       "clampd, the station's daemon: drives the brake over CAN and judges it. Talk to it with clampctl."};
   app.set_version_flag("--version", std::string(clampd::kVersion));
   std::string configuration;
+  std::string plant;
+  bool simulated = false;
   app.add_option("--config", configuration, "station configuration (default: /etc/clampd/station.toml)")
       ->type_name("FILE");
+  CLI::Option* simulation = app.add_flag("--simulated", simulated,
+                                         "a simulated brake in this process instead of CAN: to try the "
+                                         "station, results say nothing of hardware");
+  app.add_option("--simulated-brake", plant, "which brake is simulated (default: the nominal one)")
+      ->type_name("PLANT.toml")
+      ->needs(simulation);
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& request) {
@@ -84,5 +114,5 @@ int main(int argc, char** argv) {
     return clampd::cli::kBadInput;
   }
   spdlog::set_default_logger(spdlog::stderr_color_mt("clampd"));
-  return run(configuration);
+  return run(configuration, simulated, plant);
 }

@@ -27,8 +27,20 @@ namespace clampd::control {
 //   POST /v1/clear           clears a fault whose cause is gone; 409 with the reason if it is not
 //   GET  /v1/results         query: serial, verdict, limit
 //   GET  /v1/results/{id}    clampd.check/1
+//   GET  /v1/results/{id}/runs/{number}  readings of one run, number from 0
+//   GET  /v1/statistics      clampd.statistics/1; query: limit, of the newest checks
+//   GET  /v1/reference       what every run should follow: period_s, force_N, velocity_rad_s, torque_Nm
+//   GET  /v1/live            the run under way or the last one; query: run, row to go on from there
+//   GET  /v1/session         {"token_needed", "may_command"}: what whoever asks may do
+//   GET  /                   the screen, for a browser
 // Whatever moves or stops the brake needs "Authorization: Bearer TOKEN"; the daemon writes the token into the
-// file named in its configuration when it starts.
+// file named in its configuration when it starts, unless one of an earlier start is there. The screen gets it
+// from the fragment of the address that `clampctl screen` prints, and keeps it in its tab's session storage:
+// other than a cookie, that is not sent by itself, so that no other page can use it, nor to other ports of
+// this host. Every request must name this host (an IP address, localhost or the host's name), so that a page
+// of another site cannot reach the station through a name that it makes point here; pages of other origins
+// are refused, and so are bodies other than JSON, in chunks, or larger than 64 KiB, and requests that take
+// longer than 5 s.
 
 /// A line of the operator's panel.
 struct PanelLine {
@@ -52,6 +64,8 @@ struct StationStatus {
   std::uint32_t repeats = 0;
   std::string serial;  ///< of the check in progress or the last one
   std::string last_verdict;
+  std::uint64_t check = 0;  ///< its number since the daemon started; 0: there was none
+  bool judging = false;     ///< the brake is done, the verdict is being made
   std::uint64_t ticks = 0;
   std::uint64_t skipped = 0;
   double lateness_avg_us = 0.0;
@@ -74,7 +88,7 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version,
                                                 last_verdict, ticks, skipped, lateness_avg_us,
                                                 lateness_max_us, force_N, velocity_rad_s, torque_Nm,
                                                 interface, link, bus_load, simulated, realtime, next_serial,
-                                                notice, panel, master)
+                                                notice, panel, master, check, judging)
 
 /// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the
 /// same as a technician reads it.
