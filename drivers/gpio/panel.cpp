@@ -194,13 +194,24 @@ bool Panel::drive_lights(std::int64_t now_ns) noexcept {
   return true;
 }
 
-bool Panel::guard_works(std::int64_t now_ns) noexcept {
+bool Panel::guard_works(std::int64_t now_ns) {
   if (!guard_) return true;
-  if (now_ns - memory_->guard_beat_ns > kGuardSilent_ns) return lose(LineRole::EnableRelay, 0);
+  if (now_ns - memory_->guard_beat_ns > kGuardSilent_ns) {
+    drop_relay_of_ended_guard();
+    return lose(LineRole::EnableRelay, 0);
+  }
   const RelayState relay = memory_->relay;
   if (relay == RelayState::Lost) return lose(LineRole::EnableRelay, memory_->relay_error);
   states_[index(LineRole::EnableRelay)] = relay == RelayState::On ? LineState::On : LineState::Off;
   return true;
+}
+
+void Panel::drop_relay_of_ended_guard() {
+  std::optional<Line>& relay = lines_[index(LineRole::EnableRelay)];
+  if (relay || !guard_->ended()) return;
+  if (Result<Line> line =
+          Line::open_output(settings_.line(LineRole::EnableRelay), LineRole::EnableRelay, false))
+    relay.emplace(std::move(*line));
 }
 
 void Panel::publish(bool lost, std::int64_t now_ns) noexcept {

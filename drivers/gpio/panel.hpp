@@ -82,7 +82,8 @@ class Panel {
   void take(LineRole role, const Edge& edge) noexcept;
   bool read_levels(std::int64_t now_ns) noexcept;  ///< false: a line is lost, as the next two
   bool drive_lights(std::int64_t now_ns) noexcept;
-  bool guard_works(std::int64_t now_ns) noexcept;
+  bool guard_works(std::int64_t now_ns);
+  void drop_relay_of_ended_guard();
   void publish(bool lost, std::int64_t now_ns) noexcept;
   bool lose(LineRole role, int error) noexcept;  ///< false, for its callers
 

@@ -49,10 +49,14 @@ class RelayGuard {
   RelayGuard(const RelayGuard&) = delete;
   RelayGuard& operator=(const RelayGuard&) = delete;
 
+  /// The guard's process is no more; its line may still have the level that it had.
+  bool ended() noexcept;
+
  private:
   RelayGuard(pid_t process, int lifeline) noexcept : process_(process), lifeline_(lifeline) {}
 
   pid_t process_;
+  bool ended_ = false;
   int lifeline_;  ///< its end tells the guard that the station is gone
 };
 

@@ -205,10 +205,10 @@ chip_removed() {
   expect_levels "$name and put back" relay=0
 }
 
-relay_guard_killed() {
+relay_guard_stopped() {
   begin_fault "relay's guard stopped"
   wait_until 20 "the brake is clamped" clamped
-  guard_pid=$(pgrep -x clampd-relay) || fail "the relay has no guard"
+  guard_pid=$(pidof clampd-relay) || fail "the relay has no guard"
   clocks=$(cause kill 19 "$guard_pid") # stopped, it cannot drop the relay: the drive must go by itself
   expect_record 3 ERROR interlock-lost $relay_line "enable relay"
   expect_end_of_drive "$clocks" 30 1
@@ -216,6 +216,21 @@ relay_guard_killed() {
   wait_until 10 "the fault can be cleared" clearable
   expect_levels "$name" relay=0
   clear_fault
+}
+
+# The last scene: the station needs a restart then. Here, where the brake runs on the same processor, the kernel's tidying
+# up after the guard keeps it silent for milliseconds, and that may be the first cause.
+relay_guard_killed() {
+  begin_fault "relay's guard killed"
+  wait_until 20 "the brake is clamped" clamped
+  [ "$(level $relay_line)" = 1 ] || fail "$name: the relay was not energised"
+  guard_pid=$(pidof clampd-relay) || fail "the relay has no guard"
+  clocks=$(cause kill 9 "$guard_pid")
+  expect_exit_code_3
+  expect_end_of_drive "$clocks" 30 1
+  expect_levels "$name" relay=0
+  expect "$name: the relay is lost" [ "$(status panel/3/state)" = lost ]
+  expect_named "$(status panel/3/line)" $relay_line "enable relay"
 }
 
 # Every thread of the station stands still, and its last command stays on the brake for the brake's own 20 ms.
@@ -251,7 +266,7 @@ station_killed_with_relay() {
   code=0
   wait $check_pid || code=$?
   [ $code = 3 ] || fail "$name: exit code $code instead of 3"
-  pgrep -x clampd-relay >/dev/null && fail "$name: the guard outlived its work"
+  pidof clampd-relay >/dev/null && fail "$name: the guard outlived its work"
   start_station
   wait_for_idle
   check "$id" 2

@@ -16,6 +16,7 @@ panel_fault "fixture opened" fixture-open $fixture_line "fixture closed" \
 panel_fault "line unreadable" interlock-lost $stop_line "emergency stop" \
   "cause write $chip/broken $((1 << stop_line))" "echo 0 >$chip/broken" 5
 chip_removed
-relay_guard_killed
+relay_guard_stopped
 station_stopped
 station_killed_with_relay
+relay_guard_killed
