@@ -49,6 +49,10 @@ inline tl::unexpected<Error> explained(const std::string& path, const SQLite::Ex
   return failure(fmt::format("{}: {}{}", path, error.what(), advice));
 }
 
+/// An entry at the end of the channel's outbox; one that is there keeps its place.
+void put_into_outbox(SQLite::Database& database, const std::string& check_id, const std::string& channel,
+                     PublicationState state);
+
 /// SQLite has no NaN: it is NULL there.
 inline void bind_number(SQLite::Statement& statement, int index, double value) {
   if (std::isnan(value)) {

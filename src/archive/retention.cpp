@@ -88,24 +88,6 @@ RetentionSummary plan(SQLite::Database& database, const RetentionPolicy& policy,
 
 }  // namespace
 
-Result<void> CheckStore::mark_publication(const std::string& id, const std::string& channel,
-                                          PublicationState state) {
-  try {
-    SQLite::Statement statement(database_->handle,
-                                "INSERT INTO publication (check_id, channel, state) VALUES (?, ?, ?) "
-                                "ON CONFLICT DO UPDATE SET state = excluded.state");
-    statement.bind(1, id);
-    statement.bind(2, channel);
-    statement.bind(3, static_cast<int>(state));
-    statement.exec();
-    return {};
-  } catch (const SQLite::Exception& exception) {
-    if (exception.getErrorCode() == SQLITE_CONSTRAINT)
-      return failure(fmt::format("{}: no check {} to publish", database_->path, id));
-    return sql::explained(database_->path, exception);
-  }
-}
-
 Result<RetentionSummary> CheckStore::plan_retention(const RetentionPolicy& policy,
                                                     std::int64_t now_utc_ns) const {
   try {

@@ -20,7 +20,7 @@ using sql::explained;
 using sql::Row;
 
 /// Step i brings a database of version i to i + 1 (PRAGMA user_version). Steps are never changed, only added.
-constexpr std::array<const char*, 4> kMigrations{R"sql(
+constexpr std::array<const char*, 5> kMigrations{R"sql(
 CREATE TABLE checks (
   id TEXT PRIMARY KEY NOT NULL,
   serial TEXT NOT NULL, part_number TEXT NOT NULL, batch TEXT NOT NULL,
@@ -76,6 +76,16 @@ ALTER TABLE runs ADD COLUMN bytes INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE runs ADD COLUMN removed TEXT NOT NULL DEFAULT '';
 UPDATE runs SET bytes = length(csv);
 CREATE INDEX runs_kept ON runs (check_id, bytes) WHERE removed = '';
+)sql",
+                                                 R"sql(
+ALTER TABLE publication ADD COLUMN sequence INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE publication ADD COLUMN queued TEXT NOT NULL DEFAULT '';
+UPDATE publication SET sequence = (SELECT COUNT(*) FROM publication p
+  WHERE p.channel = publication.channel AND p.check_id <= publication.check_id);
+CREATE UNIQUE INDEX publication_order ON publication (channel, sequence);
+DROP INDEX publication_pending;
+CREATE INDEX publication_next ON publication (channel, sequence) WHERE state = 0;
+CREATE TABLE outbox_connections (channel TEXT PRIMARY KEY NOT NULL, connections INTEGER NOT NULL) STRICT;
 )sql"};
 
 std::string numbers_text(const std::vector<double>& values) {
@@ -357,6 +367,8 @@ Result<void> CheckStore::save(const CheckRecord& record) {
     SQLite::Transaction transaction(handle, SQLite::TransactionBehavior::IMMEDIATE);
     insert_check(handle, record);
     insert_details(handle, record);
+    for (const std::string& channel : outbox_channels_)
+      sql::put_into_outbox(handle, record.id, channel, PublicationState::Pending);
     transaction.commit();
     return {};
   } catch (const SQLite::Exception& exception) {
@@ -399,6 +411,36 @@ Result<std::vector<CheckRecord>> CheckStore::load_results(const CheckFilter& fil
     return explained(database_->path, exception);
   } catch (const nlohmann::json::exception& exception) {
     return failure(fmt::format("{}: a check is damaged: {}", database_->path, exception.what()));
+  }
+}
+
+Result<CheckRecord> CheckStore::load_result(const std::string& id) const {
+  const std::string& path = database_->path;
+  try {
+    SQLite::Statement statement(database_->handle, "SELECT * FROM checks WHERE id = ?");
+    statement.bind(1, id);
+    if (!statement.executeStep()) return failure(fmt::format("{}: no check {}", path, id));
+    CheckRecord record;
+    read_check(statement, record);
+    read_parameters(database_->handle, record);
+    SQLite::Statement runs(
+        database_->handle,
+        "SELECT name, sha256, tracking_rms_N, tracking_max_N, fit_force_rms_N, "
+        "fit_velocity_rms_rad_s, estimate, converged, removed FROM runs WHERE check_id = ? "
+        "ORDER BY position");
+    runs.bind(1, id);
+    while (runs.executeStep()) {
+      RunRecord& run = record.runs.emplace_back();
+      std::string estimate;
+      Columns(runs) >> run.run.name >> run.checksum_sha256 >> run.tracking_rms_N >> run.tracking_max_N >>
+          run.fit_force_rms_N >> run.fit_velocity_rms_rad_s >> estimate >> run.converged >> run.removed;
+      run.estimate = numbers_from(estimate);
+    }
+    return record;
+  } catch (const SQLite::Exception& exception) {
+    return explained(path, exception);
+  } catch (const nlohmann::json::exception& exception) {
+    return failure(fmt::format("{}: check {} is damaged: {}", path, id, exception.what()));
   }
 }
 

@@ -23,6 +23,7 @@ const std::map<std::string_view, Rooms>& arrows() {
       {"diagnose", {"identify", "brake", "record", "base"}},
       {"station", {"diagnose", "experiment", "identify", "brake", "record", "base"}},
       {"archive", {"record", "base"}},
+      {"publish", {"archive", "record", "base"}},
       {"quality", {"base"}},
       {"report", {"base"}},
       {"rt", {"record", "base"}},
@@ -56,6 +57,9 @@ const std::vector<LibraryRule>& library_rules() {
       {"sqlite3", {"archive"}, false},
       {"linux/can", {"drivers/can", "tools"}, true},
       {"gpiod", {"drivers/gpio"}, false},
+      {"mosquitto", {"publish"}, false},
+      {"pqxx", {"publish"}, false},
+      {"sparkplug_b.pb", {"publish"}, false},
       {"httplib", {"tools"}, true},
       {"CLI/", {"tools"}, true},
   };

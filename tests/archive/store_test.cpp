@@ -101,9 +101,10 @@ TEST_F(Store, KeepsTheCause) {
 }
 
 /// Takes a database back to schema 3.
-void undo_step_4(SQLite::Database& database) {
+void undo_steps_4_and_5(SQLite::Database& database) {
   database.exec(
-      "DROP INDEX checks_by_part; DROP INDEX checks_by_batch; DROP INDEX checks_by_operator; "
+      "DROP TABLE outbox_connections; DROP INDEX checks_by_part; DROP INDEX checks_by_batch; DROP INDEX "
+      "checks_by_operator; "
       "DROP TABLE limits_revisions; DROP TABLE publication; DROP INDEX runs_kept; "
       "ALTER TABLE runs DROP COLUMN bytes; ALTER TABLE runs DROP COLUMN removed; PRAGMA user_version = 3");
 }
@@ -115,11 +116,11 @@ TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
   }
   {
     SQLite::Database old(path, SQLite::OPEN_READWRITE);
-    undo_step_4(old);
+    undo_steps_4_and_5(old);
     old.exec("ALTER TABLE checks DROP COLUMN cause");
     old.exec("PRAGMA user_version = 2");
   }
-  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 4"));
+  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 5"));
   CheckStore store = open();
   const auto loaded = store.load("last");
   ASSERT_TRUE(loaded) << loaded.error().message;
@@ -138,7 +139,7 @@ TEST_F(Store, BringsResultsFromBeforeRetentionUpToDate) {
   }
   {
     SQLite::Database old(path, SQLite::OPEN_READWRITE);
-    undo_step_4(old);
+    undo_steps_4_and_5(old);
   }
   CheckStore store = open();
   const auto loaded = store.load("last");
@@ -274,7 +275,7 @@ TEST_F(Store, NoticesAChangedRun) {
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 4);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 5);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

@@ -69,6 +69,19 @@ struct RetentionSummary {
 
 enum class PublicationState : std::uint8_t { Pending = 0, Published = 1 };
 
+/// A check that a channel has yet to publish.
+struct OutboxEntry {
+  std::string check_id;
+  std::int64_t sequence = 0;  ///< of the channel: 1, 2, ... in the order in which checks were saved
+  std::string queued;         ///< RFC 3339, UTC
+};
+
+/// What waits in a channel's outbox.
+struct OutboxState {
+  std::size_t pending = 0;
+  std::string oldest;  ///< RFC 3339, UTC: when the one that is next was queued; empty if none waits
+};
+
 /// The station's results: one SQLite file, write-ahead logged and synced at every commit, so that a saved
 /// check survives a power cut. Several processes may read while one writes. Not for use by two threads at
 /// once.
@@ -85,7 +98,11 @@ class CheckStore {
   CheckStore& operator=(CheckStore&&) noexcept;
   ~CheckStore();
 
-  /// The whole record in one transaction. An id that is already there is an error.
+  /// Channels whose outbox gets every check that is saved from now on.
+  void queue_for(std::vector<std::string> channels) { outbox_channels_ = std::move(channels); }
+
+  /// The whole record and its entries in the outboxes, in one transaction. An id that is already there is an
+  /// error.
   Result<void> save(const CheckRecord& record);
 
   Result<std::vector<CheckSummary>> list(const CheckFilter& filter) const;
@@ -98,10 +115,19 @@ class CheckStore {
   /// shortened as long as it is unambiguous; "last" is the newest check.
   Result<CheckRecord> load(const std::string& id) const;
 
+  /// One check by its whole id, as `load_results` has it, and the names, figures and checksums of its runs.
+  Result<CheckRecord> load_result(const std::string& id) const;
+
   /// Keeps a limits file; one that is already known (by its SHA-256) stays as it was first seen.
   Result<void> save_limits(const LimitsRevision& limits);
   /// All that were ever used, the first one first.
   Result<std::vector<LimitsRevision>> limits_history() const;
+
+  /// The oldest check that the channel has not published; nothing if there is none.
+  Result<std::optional<OutboxEntry>> next_in_outbox(const std::string& channel) const;
+  Result<OutboxState> outbox(const std::string& channel) const;
+  /// One more connection of the channel: 0 for the first one ever, then 1, 2, ...
+  Result<std::uint64_t> count_connection(const std::string& channel);
 
   /// What a channel has done with a check. A check without an entry was not published by that channel.
   Result<void> mark_publication(const std::string& id, const std::string& channel, PublicationState state);
@@ -118,6 +144,7 @@ class CheckStore {
   struct Database;
   explicit CheckStore(std::unique_ptr<Database> database);
   std::unique_ptr<Database> database_;
+  std::vector<std::string> outbox_channels_;
 };
 
 }  // namespace clampd
