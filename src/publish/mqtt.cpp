@@ -179,7 +179,8 @@ class MqttChannel final : public Channel {
       if (Clock::now() > until)
         return failure(fmt::format("MQTT: the broker at {}:{} did not acknowledge within {} s",
                                    settings_.host, settings_.port, kPatience.count()));
-      if (Result<void> served = serve(100ms, -1); !served) return served;
+      // A broker that refuses says so and hangs up at once: what it said counts.
+      if (Result<void> served = serve(100ms, -1); !served && !condition()) return served;
     }
     return {};
   }

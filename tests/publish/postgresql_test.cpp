@@ -1,0 +1,135 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "publish/servers.hpp"
+#include "publish/station_fixture.hpp"
+
+namespace clampd::publish {
+namespace {
+
+using support::eventually;
+using support::PublishingStation;
+using ::testing::HasSubstr;
+
+class Postgresql : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    if (const std::string missing = support::Database::missing(); !missing.empty()) GTEST_SKIP() << missing;
+    server = std::make_unique<support::Database>();
+  }
+
+  PostgresqlSettings settings() const {
+    PostgresqlSettings settings;
+    settings.host = server->host();
+    settings.database = "line";
+    settings.user = "line";
+    return settings;
+  }
+  std::string arrived() const {
+    return server->ask(
+        "SELECT string_agg(outbox_sequence::text, ' ' ORDER BY published, outbox_sequence) FROM "
+        "clampd.checks");
+  }
+  static std::string up_to(int last) {
+    std::string numbers = "1";
+    for (int i = 2; i <= last; ++i) numbers += " " + std::to_string(i);
+    return numbers;
+  }
+
+  std::unique_ptr<support::Database> server;
+  PublishingStation station{"postgresql"};
+};
+
+TEST_F(Postgresql, KeepsEveryCheckOnceAndInOrder) {
+  CheckRecord odd = PublishingStation::check(9'000);
+  odd.serial = "O'Brien \\\" \xff x";
+  odd.reason = std::string("nul\0 inside", 11);
+  odd.noise_torque_Nm = std::nan("");
+  odd.cause =
+      CauseRecord{"ambiguous", {"force-lag"}, "force-reading", {{"force-lag", "pad-damping"}}, "Late."};
+  odd.stopped.clear();
+  station.save_up_to(3);
+  station.start(make_postgresql_channel(settings()));
+  station.save_up_to(20);
+  ASSERT_TRUE(station.store().save(odd));
+  ASSERT_TRUE(eventually([&] { return station.pending() == 0; })) << station.status().error;
+  EXPECT_EQ(arrived(), up_to(21));
+  EXPECT_EQ(server->ask("SELECT value FROM clampd.parameters WHERE name = 'k2' AND check_id = '" +
+                        PublishingStation::id(7) + "'"),
+            "24.64");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.parameters"), std::to_string(21 * 7));
+  EXPECT_EQ(server->ask("SELECT sha256 FROM clampd.runs WHERE position = 1 LIMIT 1"),
+            support::make_check_record().runs[1].checksum_sha256);
+  EXPECT_EQ(server->ask("SELECT started AT TIME ZONE 'UTC' FROM clampd.checks LIMIT 1"),
+            "2026-11-20 23:41:07.123");
+  const std::string where = " FROM clampd.checks WHERE id = '" + PublishingStation::id(9'000) + "'";
+  EXPECT_EQ(server->ask("SELECT serial" + where), "O'Brien \\\" \xEF\xBF\xBD x");
+  EXPECT_EQ(server->ask("SELECT reason" + where), "nul inside");
+  EXPECT_EQ(server->ask("SELECT noise_torque_nm IS NULL AND stopped IS NULL" + where), "t");
+  EXPECT_EQ(server->ask("SELECT cause->'rivals'->0->>1" + where), "pad-damping");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks WHERE cause IS NULL"), "20");
+
+  // The mark was lost, as by a kill between commit and mark.
+  ASSERT_TRUE(
+      station.store().mark_publication(PublishingStation::id(5), "postgresql", PublicationState::Pending));
+  ASSERT_TRUE(eventually([&] { return station.pending() == 0; })) << station.status().error;
+  EXPECT_EQ(arrived(), up_to(21));
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.runs"), std::to_string(21 * 2));
+}
+
+TEST_F(Postgresql, NothingIsLostWhileTheServerComesAndGoes) {
+  station.start(make_postgresql_channel(settings()));
+  for (int round = 1; round <= 4; ++round) {
+    station.save_up_to(10 * round - 4);
+    if (round % 2 == 0)
+      server->stop();
+    else
+      server->crash();
+    station.save_up_to(10 * round);
+    ASSERT_TRUE(eventually([&] { return !station.status().error.empty(); }));
+    EXPECT_FALSE(station.status().connected);
+    server->start();
+  }
+  ASSERT_TRUE(eventually([&] { return station.pending() == 0; })) << station.status().error;
+  EXPECT_EQ(arrived(), up_to(40));
+}
+
+TEST_F(Postgresql, StationsShareADatabaseAndLaterOnesNeedFewRights) {
+  PublishingStation other{"postgresql"};
+  station.save_up_to(1);
+  station.start(make_postgresql_channel(settings()));
+  other.start(make_postgresql_channel(settings()));
+  ASSERT_TRUE(eventually([&] { return station.pending() == 0 && other.status().connected; }))
+      << other.status().error;
+  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "1");
+  other.stop();
+  server->column("CREATE ROLE bench LOGIN");
+  PostgresqlSettings poor = settings();
+  poor.user = "bench";
+  other.start(make_postgresql_channel(poor));
+  ASSERT_TRUE(eventually([&] { return !other.status().error.empty(); }));
+  EXPECT_THAT(other.status().error, HasSubstr("INSERT and SELECT in schema clampd"));
+  server->column("GRANT USAGE ON SCHEMA clampd TO bench");
+  server->column("GRANT SELECT, INSERT ON ALL TABLES IN SCHEMA clampd TO bench");
+  ASSERT_TRUE(eventually([&] { return other.status().connected; })) << other.status().error;
+  ASSERT_TRUE(other.store().save(PublishingStation::check(77)));
+  ASSERT_TRUE(eventually([&] { return other.pending() == 0; })) << other.status().error;
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks"), "2");
+}
+
+TEST_F(Postgresql, SaysWhatIsWrong) {
+  PostgresqlSettings nowhere = settings();
+  nowhere.host = "127.0.0.1";
+  nowhere.port = support::free_port();
+  station.start(make_postgresql_channel(nowhere));
+  ASSERT_TRUE(eventually([&] { return !station.status().error.empty(); }));
+  EXPECT_THAT(station.status().error, HasSubstr("nothing listens at 127.0.0.1"));
+  PostgresqlSettings wrong = settings();
+  wrong.database = "none";
+  station.start(make_postgresql_channel(wrong));
+  ASSERT_TRUE(eventually([&] { return !station.status().error.empty(); }));
+  EXPECT_THAT(station.status().error, HasSubstr("\"none\" does not exist"));
+}
+
+}  // namespace
+}  // namespace clampd::publish
