@@ -1,0 +1,132 @@
+#include "dashboard/browser.hpp"
+
+#include <unistd.h>
+
+#include <chrono>
+#include <fstream>
+#include <stdexcept>
+#include <thread>
+#include <vector>
+
+#include <openssl/evp.h>
+
+#include <httplib.h>
+
+namespace clampd::screen {
+
+namespace {
+
+constexpr const char* kDriver = "/usr/bin/chromedriver";
+constexpr const char* kChromium = "/usr/bin/chromium";
+
+using Clock = std::chrono::steady_clock;
+
+}  // namespace
+
+bool Browser::is_installed() {
+  return access(kDriver, X_OK) == 0 && access(kChromium, X_OK) == 0;
+}
+
+Browser::Browser(int width, int height)
+    : port_(free_port()),
+      driver_({kDriver, "--port=" + std::to_string(port_)}, folder_.path("driver.log"),
+              {"HOME=" + folder_.path("")}) {
+  const auto until = Clock::now() + std::chrono::seconds(30);
+  while (!httplib::Client("127.0.0.1", port_).Get("/status")) {
+    if (Clock::now() > until) throw std::runtime_error("chromedriver does not answer");
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  }
+  const std::string size = "--window-size=" + std::to_string(width) + "," + std::to_string(height);
+  const nlohmann::json options{
+      {"binary", kChromium},
+      {"args",
+       {"--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars",
+        "--disable-background-networking", "--user-data-dir=" + folder_.path("profile"), size}}};
+  const nlohmann::json session = ask("POST", "/session",
+                                     {{"capabilities",
+                                       {{"alwaysMatch",
+                                         {{"browserName", "chrome"},
+                                          {"goog:chromeOptions", options},
+                                          {"goog:loggingPrefs", {{"browser", "ALL"}}}}}}}});
+  session_ = "/session/" + session.at("sessionId").get<std::string>();
+  // The window is larger than the page; the pictures shall be as wide as asked for.
+  ask("POST", session_ + "/goog/cdp/execute",
+      {{"cmd", "Emulation.setDeviceMetricsOverride"},
+       {"params", {{"width", width}, {"height", height}, {"deviceScaleFactor", 1}, {"mobile", false}}}});
+}
+
+Browser::~Browser() {
+  if (!session_.empty()) httplib::Client("127.0.0.1", port_).Delete(session_);
+}
+
+nlohmann::json Browser::ask(const std::string& method, const std::string& path, const nlohmann::json& body) {
+  httplib::Client http("127.0.0.1", port_);
+  http.set_read_timeout(120);
+  const auto answer = method == "GET"
+                          ? http.Get(path)
+                          : http.Post(path, body.is_null() ? "{}" : body.dump(), "application/json");
+  if (!answer) throw std::runtime_error("chromedriver: no answer to " + path);
+  nlohmann::json document = nlohmann::json::parse(answer->body);
+  if (answer->status != 200)
+    throw std::runtime_error("chromedriver: " + document.at("value").value("message", answer->body));
+  return document.at("value");
+}
+
+void Browser::open(const std::string& address) {
+  ask("POST", session_ + "/url", {{"url", address}});
+}
+
+void Browser::type(const std::string& text) {
+  nlohmann::json keys = nlohmann::json::array();
+  for (std::size_t at = 0; at < text.size();) {
+    std::size_t end = at + 1;
+    while (end < text.size() && (static_cast<unsigned char>(text[end]) & 0xC0U) == 0x80U) ++end;
+    const std::string key = text.substr(at, end - at);
+    keys.push_back({{"type", "keyDown"}, {"value", key}});
+    keys.push_back({{"type", "keyUp"}, {"value", key}});
+    at = end;
+  }
+  ask("POST", session_ + "/actions",
+      {{"actions", {{{"type", "key"}, {"id", "keyboard"}, {"actions", keys}}}}});
+}
+
+nlohmann::json Browser::value(const std::string& expression) {
+  return ask("POST", session_ + "/execute/sync",
+             {{"script", "return " + expression}, {"args", nlohmann::json::array()}});
+}
+
+std::string Browser::text(const std::string& selector) {
+  return value("document.querySelector('" + selector + "')?.textContent ?? ''").get<std::string>();
+}
+
+bool Browser::becomes(const std::string& expression, int seconds) {
+  const auto until = Clock::now() + std::chrono::seconds(seconds);
+  while (value("Boolean(" + expression + ")") != true) {
+    if (Clock::now() > until) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  }
+  return true;
+}
+
+void Browser::prefer_dark(bool dark) {
+  ask("POST", session_ + "/goog/cdp/execute",
+      {{"cmd", "Emulation.setEmulatedMedia"},
+       {"params", {{"features", {{{"name", "prefers-color-scheme"}, {"value", dark ? "dark" : "light"}}}}}}});
+}
+
+void Browser::save_picture(const std::string& file) {
+  const std::string text = ask("GET", session_ + "/screenshot").get<std::string>();
+  std::vector<unsigned char> picture(text.size());
+  const int size = EVP_DecodeBlock(picture.data(), reinterpret_cast<const unsigned char*>(text.data()),
+                                   static_cast<int>(text.size()));
+  std::ofstream(file, std::ios::binary).write(reinterpret_cast<const char*>(picture.data()), size);
+}
+
+std::string Browser::complaints() {
+  std::string found;
+  for (const nlohmann::json& entry : ask("POST", session_ + "/se/log", {{"type", "browser"}}))
+    found += entry.at("message").get<std::string>() + "\n";
+  return found;
+}
+
+}  // namespace clampd::screen

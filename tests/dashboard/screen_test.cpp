@@ -1,0 +1,225 @@
+// The screen in real Chromium, in front of the daemon with a simulated brake. Pictures of what was seen go to
+// the build folder's screenshots/ (CLAMPD_SCREENSHOTS names another), from where the README's come.
+
+#include <signal.h>
+
+#include <chrono>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "dashboard/browser.hpp"
+#include "dashboard/program.hpp"
+#include "support/temporary_directory.hpp"
+
+namespace clampd::screen {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::Not;
+
+std::string pictures_folder() {
+  const char* wanted = std::getenv("CLAMPD_SCREENSHOTS");
+  const std::string folder = wanted != nullptr ? wanted : std::string(CLAMPD_BINARY_DIR) + "/screenshots";
+  std::filesystem::create_directories(folder);
+  return folder + "/";
+}
+
+class Screen : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    if (!Browser::is_installed())
+      GTEST_SKIP() << "needs Debian's packages chromium and chromium-driver; `tools/dev test` installs them";
+  }
+
+  /// The daemon with this simulated brake, and the browser in front of it.
+  void start(const std::string& brake, int repeats, bool with_token = true) {
+    port_ = free_port();
+    folder_.write("station.toml",
+                  fmt::format("[station]\nname = \"bench-1\"\n[check]\nrepeats = {}\n[control]\nport = {}\n"
+                              "token_file = \"token\"\n",
+                              repeats, port_));
+    folder_.write("brake.toml", brake);
+    daemon_.emplace(std::vector<std::string>{CLAMPD, "--simulated", "--config", folder_.path("station.toml"),
+                                             "--simulated-brake", folder_.path("brake.toml")},
+                    folder_.path("daemon.log"),
+                    std::vector<std::string>{"STATE_DIRECTORY=" + folder_.path("state")});
+    browser_.emplace(1440, 900);
+    browser_->open("about:blank");
+    const std::string address = fmt::format("http://127.0.0.1:{}/", port_);
+    const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(30);
+    while (folder_.read("daemon.log").find("station is IDLE") == std::string::npos) {
+      ASSERT_LT(std::chrono::steady_clock::now(), until) << folder_.read("daemon.log");
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    }
+    std::string token = folder_.read("token");
+    browser_->open(with_token ? address + "#token=" + token.substr(0, token.size() - 1) : address);
+  }
+
+  void picture(const std::string& name) { browser_->save_picture(pictures_folder() + name + ".png"); }
+
+  bool shows(const std::string& word, int seconds = 60) {
+    return browser_->becomes(
+        fmt::format("document.getElementById('verdict-word').textContent === '{}'", word), seconds);
+  }
+
+  support::TemporaryDirectory folder_;
+  int port_ = 0;
+  std::optional<Program> daemon_;
+  std::optional<Browser> browser_;
+};
+
+constexpr const char* kGoodBrake = "[plant]\nseed = 3\n";
+
+TEST_F(Screen, AKeyboardAloneChecksABrakeAndBrowsesTheHistory) {
+  start(kGoodBrake, 6);
+  ASSERT_TRUE(shows("READY", 15)) << browser_->text("body");
+  picture("ready");
+  browser_->type(std::string("EMB-2026-0001") + kEnter);
+  ASSERT_TRUE(shows("RUNNING"));
+  ASSERT_TRUE(
+      browser_->becomes("document.getElementById('run-name').textContent >= '3' && "
+                        "document.querySelector('#live-force .measured').getAttribute('d').length > 2500"));
+  picture("running");
+  ASSERT_TRUE(shows("PASS"));
+  ASSERT_TRUE(browser_->becomes("document.querySelectorAll('#parameters .mark').length === 7"));
+  picture("pass");
+  EXPECT_EQ(browser_->text("#verdict-serial"), "EMB-2026-0001");
+  EXPECT_THAT(browser_->text("#parameters"), AllOf(HasSubstr("k1"), HasSubstr("ws"), HasSubstr("±")));
+  EXPECT_THAT(browser_->text("#timing-text"), HasSubstr("skipped"));
+  EXPECT_EQ(browser_->value("document.getElementById('serial').value"), "") << "ready for the next scan";
+
+  browser_->prefer_dark(true);
+  picture("pass-dark");
+  browser_->prefer_dark(false);
+
+  // A second one: the statistics need two brakes; a script in a serial number is text.
+  const std::string script = "<img src=x onerror=\"document.title='owned'\">";
+  browser_->type(script + kEnter);
+  ASSERT_TRUE(shows("RUNNING"));
+  ASSERT_TRUE(shows("PASS"));
+  EXPECT_EQ(browser_->text("#verdict-serial"), script);
+
+  browser_->type(kF3);
+  ASSERT_TRUE(browser_->becomes("document.querySelectorAll('#history-list button').length === 2"));
+  browser_->type(kDown);
+  ASSERT_TRUE(browser_->becomes("document.querySelector('#past-force .measured')"));
+  EXPECT_THAT(browser_->text("#history-detail"),
+              AllOf(HasSubstr("EMB-2026-0001"), HasSubstr("PASS"), HasSubstr("k2")));
+  picture("history");
+  EXPECT_EQ(browser_->value("document.images.length"), 0);
+  EXPECT_NE(browser_->value("document.title"), "owned");
+
+  browser_->type(kF4);
+  ASSERT_TRUE(browser_->becomes("document.querySelectorAll('#chart-individuals .point').length === 2"));
+  EXPECT_THAT(browser_->text("#capability"), AllOf(HasSubstr("Cpk"), HasSubstr("mus")));
+  picture("statistics");
+
+  EXPECT_EQ(browser_->value("performance.getEntriesByType('resource')"
+                            ".filter((entry) => !entry.name.startsWith(location.origin + '/')).length"),
+            0)
+      << "no request leaves the station";
+  EXPECT_THAT(browser_->complaints(), IsEmpty());
+}
+
+TEST_F(Screen, ASoftBrakeFailsInFullSize) {
+  start("[parameters_normalised]\nk2 = 0.7\n", 6);
+  ASSERT_TRUE(shows("READY", 15));
+  browser_->type(std::string("EMB-2026-0002") + kEnter);
+  ASSERT_TRUE(shows("FAIL"));
+  ASSERT_TRUE(browser_->becomes("document.querySelectorAll('#parameters .word.fail').length === 1"));
+  picture("fail");
+  EXPECT_THAT(browser_->text("#verdict-reason"), HasSubstr("k2"));
+  EXPECT_EQ(browser_->text("#parameters .word.fail"), "FAIL");
+  // "In full size": a word that fills most of its panel, and a start button that a glove hits.
+  EXPECT_GT(
+      browser_->value("document.getElementById('verdict-word').getBoundingClientRect().height").get<double>(),
+      150.0);
+  EXPECT_GT(browser_->value("document.getElementById('start').getBoundingClientRect().height").get<double>(),
+            100.0);
+  EXPECT_GT(browser_->value("document.getElementById('start').getBoundingClientRect().width").get<double>(),
+            300.0);
+  EXPECT_THAT(browser_->complaints(), IsEmpty());
+}
+
+TEST_F(Screen, AnErrorNamesItsCause) {
+  start("[effects]\nforce-lag = 0.01\n", 6);
+  ASSERT_TRUE(shows("READY", 15));
+  browser_->type(std::string("EMB-2026-0003") + kEnter);
+  ASSERT_TRUE(shows("ERROR", 120)) << browser_->text("#verdict");
+  picture("error-with-cause");
+  EXPECT_THAT(browser_->text("#verdict-cause"), HasSubstr("force-lag"));
+}
+
+TEST_F(Screen, EscapeStopsTheBrakeAndCClearsButAScannerClearsNothing) {
+  start(kGoodBrake, 50);
+  ASSERT_TRUE(shows("READY", 15));
+  browser_->type(std::string("EMB-2026-0004") + kEnter);
+  ASSERT_TRUE(browser_->becomes("document.getElementById('run-name').textContent === '1'"));
+  browser_->type(std::string("EMB-2026-0005") + kEnter);
+  EXPECT_TRUE(browser_->becomes("document.getElementById('message').textContent.includes('under way')"));
+  browser_->type(kEscape);
+  ASSERT_TRUE(shows("ABORTED"));
+  ASSERT_TRUE(browser_->becomes(
+      "!document.getElementById('fault').hidden && !document.getElementById('clear').disabled"));
+  picture("aborted");
+  EXPECT_THAT(browser_->text("#fault-name"), HasSubstr("operator-stop"));
+  browser_->type("c-4711");
+  EXPECT_FALSE(browser_->becomes("document.getElementById('fault').hidden", 1));
+  browser_->type("c");
+  EXPECT_TRUE(browser_->becomes("document.getElementById('state').textContent === 'IDLE'"));
+  EXPECT_EQ(browser_->text("#verdict-word"), "ABORTED") << "stays until the next start";
+}
+
+TEST_F(Screen, WithoutTheTokenItMayOnlyLook) {
+  start(kGoodBrake, 3, false);
+  ASSERT_TRUE(shows("READY", 15));
+  ASSERT_TRUE(browser_->becomes(
+      "!document.getElementById('unlock').hidden && document.getElementById('entry').hidden"));
+  picture("locked");
+  const std::string post =
+      "(() => { const r = new XMLHttpRequest(); r.open('POST', '/v1/checks', false);"
+      "r.setRequestHeader('Content-Type', 'application/json'); r.send('{\"serial\":\"X\"}');"
+      "return r.status; })()";
+  EXPECT_EQ(browser_->value(post), 401);
+  browser_->value("document.getElementById('token').focus()");
+  browser_->type(folder_.read("token").substr(0, 64) + kEnter);
+  EXPECT_TRUE(browser_->becomes("!document.getElementById('entry').hidden"));
+  browser_->type(std::string("EMB-2026-0006") + kEnter);
+  EXPECT_TRUE(shows("PASS"));
+}
+
+TEST_F(Screen, APageOfAnotherOriginMovesNothing) {
+  start(kGoodBrake, 3);
+  ASSERT_TRUE(shows("READY", 15));
+  browser_->open("data:text/html,<p>elsewhere</p>");
+  // What a page can send to anybody without being asked: a simple request, its answer unread.
+  const std::string send = fmt::format(
+      "(window.sent = '', fetch('http://127.0.0.1:{}/v1/checks', {{method: 'POST', mode: 'no-cors', body: "
+      "'{{\"serial\":\"X\"}}'}}).then(() => window.sent = 'yes', () => window.sent = 'no'), 1)",
+      port_);
+  browser_->value(send);
+  EXPECT_TRUE(browser_->becomes("window.sent !== ''"));
+  browser_->open(fmt::format("http://127.0.0.1:{}/", port_));
+  EXPECT_TRUE(shows("READY", 15));
+  EXPECT_THAT(folder_.read("daemon.log"), Not(HasSubstr("begins")));
+}
+
+TEST_F(Screen, ADaemonThatIsGoneShows) {
+  start(kGoodBrake, 3);
+  ASSERT_TRUE(shows("READY", 15));
+  EXPECT_EQ(daemon_->end(), 0);
+  EXPECT_TRUE(browser_->becomes("document.getElementById('state').textContent === 'NO DAEMON'"));
+  EXPECT_EQ(browser_->value("document.getElementById('start').disabled"), true);
+  picture("no-daemon");
+}
+
+}  // namespace
+}  // namespace clampd::screen
