@@ -1,13 +1,12 @@
 #include "clampd/publish/sparkplug.hpp"
 
-#include <chrono>
 #include <cmath>
-#include <cstdio>
 #include <utility>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/base/clock.hpp"
 #include "clampd/base/version.hpp"
+#include "clampd/record/utc.hpp"
 #include "sparkplug_b.pb.h"
 
 namespace clampd::publish {
@@ -23,20 +22,6 @@ constexpr const char* kRebirth = "Node Control/Rebirth";
 
 std::uint64_t milliseconds(std::int64_t utc_ns) {
   return static_cast<std::uint64_t>(utc_ns / kNanosecondsPerMillisecond);
-}
-
-/// Of an RFC 3339 time as records have it; `otherwise_ms` if it is none.
-std::uint64_t milliseconds(const std::string& utc, std::uint64_t otherwise_ms) {
-  int year = 0;
-  unsigned month = 0, day = 0, hour = 0, minute = 0, second = 0, thousandth = 0;
-  if (std::sscanf(utc.c_str(), "%4d-%2u-%2uT%2u:%2u:%2u.%3uZ", &year, &month, &day, &hour, &minute, &second,
-                  &thousandth) != 7)
-    return otherwise_ms;
-  using namespace std::chrono;
-  const sys_days date = std::chrono::year(year) / std::chrono::month(month) / std::chrono::day(day);
-  const auto time =
-      date + hours(hour) + minutes(minute) + seconds(second) + std::chrono::milliseconds(thousandth);
-  return static_cast<std::uint64_t>(time.time_since_epoch().count());
 }
 
 sparkplug::Payload payload_at(std::int64_t now_ns) {
@@ -173,7 +158,7 @@ std::string SparkplugNode::data(const CheckRecord& check, bool historical, std::
   sparkplug::Payload payload = payload_at(now_ns);
   sequence_ = (sequence_ + 1) % 256;
   payload.set_seq(sequence_);
-  const std::uint64_t acquired_ms = milliseconds(check.stopped, payload.timestamp());
+  const std::uint64_t acquired_ms = milliseconds(parse_utc(check.stopped).value_or(now_ns));
   for (const Metric& own : metrics_of(check)) {
     const std::size_t alias = alias_of(own);
     CLAMPD_ASSERT(alias < metrics_.size() && metrics_[alias].born);

@@ -1,6 +1,7 @@
 #include "clampd/record/utc.hpp"
 
 #include <chrono>
+#include <cstdio>
 #include <ctime>
 #include <random>
 
@@ -36,6 +37,21 @@ std::string format_utc(std::int64_t utc_ns) {
   const auto [t, millisecond] = split(utc_ns);
   return fmt::format("{:04}-{:02}-{:02}T{:02}:{:02}:{:02}.{:03}Z", t.tm_year + 1900, t.tm_mon + 1, t.tm_mday,
                      t.tm_hour, t.tm_min, t.tm_sec, millisecond);
+}
+
+std::optional<std::int64_t> parse_utc(const std::string& text) {
+  int year = 0, used = 0;
+  unsigned month = 0, day = 0, hour = 0, minute = 0, second = 0, millisecond = 0;
+  if (std::sscanf(text.c_str(), "%4d-%2u-%2uT%2u:%2u:%2u.%3uZ%n", &year, &month, &day, &hour, &minute,
+                  &second, &millisecond, &used) != 7 ||
+      used != static_cast<int>(text.size()))
+    return std::nullopt;
+  using namespace std::chrono;
+  const year_month_day date = std::chrono::year(year) / month / day;
+  if (!date.ok() || hour > 23 || minute > 59 || second > 60) return std::nullopt;
+  const auto time =
+      sys_days(date) + hours(hour) + minutes(minute) + seconds(second) + milliseconds(millisecond);
+  return nanoseconds(time.time_since_epoch()).count();
 }
 
 std::string make_record_id(std::int64_t utc_ns) {

@@ -255,6 +255,37 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
     reader.integer("raw_megabytes", configuration.retention.raw_megabytes, 0, 100'000'000);
     reader.texts("published", configuration.retention.published);
   });
+  read_section(document, "mqtt", path, error, [&](TableReader& reader) {
+    MqttConfiguration& m = configuration.mqtt;
+    reader.text("host", m.host);
+    reader.integer("port", m.port, 1, 65'535);
+    reader.path("tls_ca_file", m.tls_ca_file, folder);
+    reader.text("user", m.user);
+    reader.path("password_file", m.password_file, folder);
+    reader.text("client_id", m.client_id);
+    reader.text("topic_prefix", m.topic_prefix);
+    reader.text("sparkplug_group", m.sparkplug_group);
+    reader.text("sparkplug_node", m.sparkplug_node);
+    const toml::source_region& where = (*parsed)["mqtt"].node()->source();
+    if (m.topic_prefix.empty() || m.topic_prefix.find_first_of("+#") != std::string::npos ||
+        m.topic_prefix.front() == '$')
+      reader.refuse(where, "mqtt.topic_prefix must not be empty, begin with $ or contain + or #");
+    for (const auto& [key, name] :
+         {std::pair("sparkplug_group", &m.sparkplug_group), std::pair("sparkplug_node", &m.sparkplug_node)})
+      if (name->find_first_of("+#/") != std::string::npos)
+        reader.refuse(where, fmt::format("mqtt.{} must not contain +, # or /", key));
+    if (m.user.empty() && !m.password_file.empty())
+      reader.refuse(where, "mqtt.password_file needs mqtt.user");
+  });
+  read_section(document, "postgresql", path, error, [&](TableReader& reader) {
+    PostgresqlConfiguration& p = configuration.postgresql;
+    reader.text("host", p.host);
+    reader.integer("port", p.port, 1, 65'535);
+    reader.text("database", p.database);
+    reader.text("user", p.user);
+    reader.path("password_file", p.password_file, folder);
+    reader.path("tls_ca_file", p.tls_ca_file, folder);
+  });
   read_section(document, "master", path, error, [&](TableReader& reader) {
     reader.text("serial", configuration.master.serial, 80);
     reader.path("limits", configuration.master.limits, folder);

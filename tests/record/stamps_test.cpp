@@ -20,6 +20,14 @@ TEST(Utc, IsRfc3339) {
   EXPECT_EQ(format_utc(1'795'218'067'123'999'999), "2026-11-20T23:41:07.123Z");
 }
 
+TEST(Utc, ReadsWhatItWrites) {
+  EXPECT_EQ(parse_utc("2026-11-20T23:41:07.123Z"), 1'795'218'067'123'000'000);
+  EXPECT_EQ(parse_utc(format_utc(0)), 0);
+  for (const char* wrong : {"", "2026-11-20", "2026-11-20T23:41:07Z", "2026-02-30T00:00:00.000Z",
+                            "2026-11-20T24:00:00.000Z", "2026-11-20T23:41:07.123Z "})
+    EXPECT_FALSE(parse_utc(wrong)) << wrong;
+}
+
 TEST(RecordId, SortsByTimeAndNeverRepeats) {
   EXPECT_THAT(make_record_id(1'795'218'067'123'000'000),
               ::testing::MatchesRegex("20261120T234107123Z-[0-9a-f]{8}"));

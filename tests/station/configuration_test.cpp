@@ -53,6 +53,35 @@ TEST(StationConfiguration, RetentionAndMasterBrake) {
   EXPECT_THAT(half.error().message, HasSubstr("both serial and limits"));
 }
 
+TEST(StationConfiguration, PublishesNowhereUnlessToldWhere) {
+  EXPECT_FALSE(parse("")->mqtt.used());
+  EXPECT_FALSE(parse("")->postgresql.used());
+  const auto read = parse(
+      "[mqtt]\nhost = \"broker\"\nport = 8883\ntls_ca_file = \"ca.pem\"\nuser = \"a\"\npassword_file = "
+      "\"secret\"\n"
+      "sparkplug_group = \"plant\"\n[postgresql]\nhost = \"/run/postgresql\"\ndatabase = \"line\"\n");
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_TRUE(read->mqtt.used());
+  EXPECT_EQ(read->mqtt.port, 8883);
+  EXPECT_EQ(read->mqtt.tls_ca_file, "/etc/clampd/ca.pem");
+  EXPECT_EQ(read->mqtt.password_file, "/etc/clampd/secret");
+  EXPECT_EQ(read->mqtt.topic_prefix, "clampd");
+  EXPECT_EQ(read->mqtt.sparkplug_group, "plant");
+  EXPECT_TRUE(read->postgresql.used());
+  EXPECT_EQ(read->postgresql.port, 5432);
+  EXPECT_EQ(read->postgresql.database, "line");
+  for (const char* wrong :
+       {"[mqtt]\nport = 0\n", "[mqtt]\npassword = \"secret\"\n", "[mqtt]\ntopic_prefix = \"a/#\"\n",
+        "[mqtt]\nsparkplug_group = \"a/b\"\n", "[mqtt]\npassword_file = \"a\"\n",
+        "[postgresql]\npassword = \"secret\"\n", "[postgresql]\nport = 70000\n"}) {
+    const auto refused = parse(wrong);
+    ASSERT_FALSE(refused) << wrong;
+    EXPECT_THAT(refused.error().message, StartsWith("/etc/clampd/station.toml:")) << wrong;
+  }
+  EXPECT_THAT(parse("[mqtt]\npassword = \"secret\"\n").error().message,
+              HasSubstr("did you mean password_file?"));
+}
+
 TEST(StationConfiguration, AnExtendedModelIsForThePredictionErrorMethod) {
   const auto extended = parse("[check]\nmodel = \"extended.toml\"\ndiagnose = false\n");
   ASSERT_TRUE(extended) << extended.error().message;

@@ -9,6 +9,7 @@
 #include "drivers/gpio/lines.hpp"
 #include "rt/readiness.hpp"
 #include "tools/assembly/prepared_station.hpp"
+#include "tools/assembly/publishing.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
@@ -92,6 +93,17 @@ void examine_panel(const gpio::PanelSettings& panel, std::vector<ReadinessFact>&
   }
 }
 
+void examine_publishing(const StationConfiguration& configuration, std::vector<ReadinessFact>& facts) {
+  const Result<CheckStore> store = CheckStore::open(configuration.database, CheckStore::Access::ReadOnly);
+  for (const assembly::ChannelReport& channel :
+       assembly::try_channels(configuration, store ? &*store : nullptr))
+    facts.push_back({"publishing, " + channel.channel,
+                     channel.error.empty() ? ReadinessStatus::Ok : ReadinessStatus::Warn,
+                     fmt::format("{} {}, {}", channel.where, channel.connected ? "answers" : "cannot be used",
+                                 assembly::waiting_text(channel.pending, channel.oldest_age_s)),
+                     channel.error});
+}
+
 void print_facts(const std::vector<ReadinessFact>& facts) {
   const bool colour = cli::colours_wanted();
   for (const ReadinessFact& fact : facts) {
@@ -123,6 +135,7 @@ int doctor(const DoctorOptions& options, const CommonOptions& common) {
   facts.push_back(examine_load(station->codec, configuration->can.bitrate));
   if (station->panel) examine_panel(*station->panel, facts);
   facts.push_back(examine_database(configuration->database));
+  examine_publishing(*configuration, facts);
 
   bool fit = true;
   for (const ReadinessFact& fact : facts) fit = fit && fact.status != ReadinessStatus::Fail;

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include "tools/assembly/prepared_station.hpp"
+#include "tools/assembly/publishing.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/terminal.hpp"
 #include "tools/control/messages.hpp"
@@ -54,6 +55,12 @@ void print_status(const control::StationStatus& status) {
   if (!status.next_serial.empty()) fmt::print("  next       {}\n", status.next_serial);
   if (!status.notice.empty()) fmt::print("  notice     {}\n", status.notice);
   if (!status.master.empty()) fmt::print("  master     {}\n", status.master);
+  for (const control::PublishingChannel& channel : status.publishing) {
+    fmt::print("  {:<10} {}: {}{}\n", channel.channel, channel.where,
+               channel.connected ? "" : "not connected, ",
+               assembly::waiting_text(channel.pending, channel.oldest_age_s));
+    if (!channel.error.empty()) fmt::print("             {}\n", channel.error);
+  }
   fmt::print("  software   {}\n", status.version);
 }
 

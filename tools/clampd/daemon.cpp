@@ -47,12 +47,20 @@ Daemon::Daemon(const assembly::PreparedStation& station, can::FrameBus& bus, Che
             panel == nullptr ? nullptr : &panel->board()),
       conductor_(station, core_, &store, WorkerMode::Background) {
   if (bench != nullptr) simulated_loop_.emplace(*bench, core_);
+  store_.queue_for(assembly::publication_channels(station.configuration));
   conductor_.show_samples_to([this](const Sample& sample) { live_.take(sample); });
   if (panel_ != nullptr)
     conductor_.explain_faults_by([panel](FaultCause cause) { return panel->explain(cause); });
 }
 
 Result<void> Daemon::start() {
+  // Threads like any other: none of them is the loop's, and a check waits for none.
+  publishing_.emplace(station_.configuration, [](const std::string& channel, const std::string& error) {
+    if (error.empty())
+      spdlog::info("publishing to {} works", channel);
+    else
+      spdlog::warn("publishing to {}: {}", channel, error);
+  });
   if (panel_ != nullptr)
     if (Result<void> reading = panel_->start(); !reading) return reading;
   const RealtimeSettings& realtime = station_.configuration.realtime;
@@ -80,6 +88,7 @@ void Daemon::pump() {
     spdlog::info("check {} of {}: {}. {}", record->id, record->serial, to_string(record->verdict),
                  record->reason);
     last_record_ = std::move(record);
+    if (publishing_) publishing_->notify();
     records_due_ns_ = 0;
   }
   report_state_changes();
@@ -202,6 +211,10 @@ control::StationStatus Daemon::status() {
     for (gpio::LineReport& line : panel_->report())
       status.panel.push_back({std::move(line.line), std::move(line.role), std::move(line.state)});
   status.master = master_;
+  if (publishing_)
+    for (assembly::ChannelReport& channel : publishing_->report(store_))
+      status.publishing.push_back({std::move(channel.channel), std::move(channel.where), channel.connected,
+                                   channel.pending, channel.oldest_age_s, std::move(channel.error)});
   return status;
 }
 

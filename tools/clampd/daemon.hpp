@@ -15,6 +15,7 @@
 #include "rt/cyclic_thread.hpp"
 #include "tools/assembly/check_conductor.hpp"
 #include "tools/assembly/prepared_station.hpp"
+#include "tools/assembly/publishing.hpp"
 #include "tools/assembly/simulated_bench.hpp"
 #include "tools/clampd/control_server.hpp"
 #include "tools/clampd/live_feed.hpp"
@@ -83,6 +84,7 @@ class Daemon final : public ControlTarget {
   std::int64_t records_due_ns_ = 0;   ///< when to look after the records again, monotonic
   std::string master_;                ///< what the master brake asks for; empty: nothing
   StationState reported_state_ = StationState::Init;
+  std::optional<assembly::Publishing> publishing_;
 };
 
 }  // namespace clampd::daemon

@@ -50,6 +50,18 @@ struct PanelLine {
 };
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(PanelLine, line, role, state)
 
+/// Where the station publishes its checks.
+struct PublishingChannel {
+  std::string channel;  ///< mqtt or postgresql
+  std::string where;    ///< its host and port
+  bool connected = false;
+  std::size_t pending = 0;    ///< checks that wait; they are safe in the station's database
+  double oldest_age_s = 0.0;  ///< how long the oldest of them waits
+  std::string error;          ///< what is wrong and what to do; empty: nothing
+};
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(PublishingChannel, channel, where, connected, pending,
+                                                oldest_age_s, error)
+
 /// What the station is doing now.
 struct StationStatus {
   std::string station;
@@ -78,17 +90,18 @@ struct StationStatus {
   double bus_load = 0.0;
   bool simulated = false;
   bool realtime = false;
-  std::string next_serial;       ///< what the start button checks; empty: none is known
-  std::string notice;            ///< why the start button did nothing, last time
-  std::vector<PanelLine> panel;  ///< empty: the station has none
-  std::string master;            ///< what the master brake asks for; empty: nothing
+  std::string next_serial;                    ///< what the start button checks; empty: none is known
+  std::string notice;                         ///< why the start button did nothing, last time
+  std::vector<PanelLine> panel;               ///< empty: the station has none
+  std::string master;                         ///< what the master brake asks for; empty: nothing
+  std::vector<PublishingChannel> publishing;  ///< empty: nothing is published
 };
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version, state, fault, fault_text,
                                                 fault_state, clearable, phase, repeat, repeats, serial,
                                                 last_verdict, ticks, skipped, lateness_avg_us,
                                                 lateness_max_us, force_N, velocity_rad_s, torque_Nm,
                                                 interface, link, bus_load, simulated, realtime, next_serial,
-                                                notice, panel, master, check, judging)
+                                                notice, panel, master, check, judging, publishing)
 
 /// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the
 /// same as a technician reads it.

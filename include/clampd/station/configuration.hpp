@@ -127,6 +127,33 @@ struct RetentionSettings {
   std::vector<std::string> published;  ///< channels that must have published a check before its runs go
 };
 
+/// Publishing of every check to an MQTT broker.
+struct MqttConfiguration {
+  std::string host;  ///< empty: nothing is published there
+  std::uint16_t port = 1883;
+  std::string tls_ca_file;              ///< empty: not encrypted
+  std::string user;                     ///< empty: none
+  std::string password_file;            ///< its first line is the password
+  std::string client_id;                ///< empty: "clampd-" and the station's name
+  std::string topic_prefix = "clampd";  ///< checks go to PREFIX/STATION/checks
+  std::string sparkplug_group;          ///< empty: no Sparkplug B
+  std::string sparkplug_node;           ///< empty: the station's name
+
+  bool used() const { return !host.empty(); }
+};
+
+/// Publishing of every check to a PostgreSQL database.
+struct PostgresqlConfiguration {
+  std::string host;  ///< name, address or folder of the socket; empty: nothing is published there
+  std::uint16_t port = 5432;
+  std::string database = "clampd";
+  std::string user;           ///< empty: as the system calls the station's user
+  std::string password_file;  ///< its first line is the password
+  std::string tls_ca_file;    ///< empty: encrypted if the server can
+
+  bool used() const { return !host.empty(); }
+};
+
 /// A brake whose parameters are certified, checked to see whether the station still measures right.
 struct MasterSettings {
   std::string serial;   ///< empty: there is none
@@ -157,6 +184,8 @@ struct StationConfiguration {
   ControlSettings control;
   GpioSettings gpio;
   RetentionSettings retention;
+  MqttConfiguration mqtt;
+  PostgresqlConfiguration postgresql;
   MasterSettings master;
 
   bool embedded() const { return can.interface.empty(); }
