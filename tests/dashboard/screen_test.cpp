@@ -217,7 +217,7 @@ TEST_F(Screen, ADaemonThatIsGoneShows) {
   ASSERT_TRUE(shows("READY", 15));
   EXPECT_EQ(daemon_->end(), 0);
   EXPECT_TRUE(browser_->becomes("document.getElementById('state').textContent === 'NO DAEMON'"));
-  EXPECT_EQ(browser_->value("document.getElementById('start').disabled"), true);
+  EXPECT_EQ(browser_->value("document.getElementById('start').getAttribute('aria-disabled')"), "true");
   picture("no-daemon");
 }
 

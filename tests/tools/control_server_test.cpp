@@ -2,8 +2,17 @@
 
 #include "tools/clampd/control_server.hpp"
 
+#include <arpa/inet.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <array>
+#include <chrono>
 #include <fstream>
 #include <string>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -75,6 +84,47 @@ class ControlApi : public ::testing::Test {
   }
   httplib::Client http() { return httplib::Client("127.0.0.1", server_->port()); }
   control::Client client() { return control::Client("127.0.0.1", server_->port(), token_file_); }
+
+  std::string token() const {
+    std::string text;
+    std::ifstream(token_file_) >> text;
+    return text;
+  }
+
+  /// A connection to the server, as it is.
+  int connect() const {
+    const int socket = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(static_cast<std::uint16_t>(server_->port()));
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    EXPECT_EQ(::connect(socket, reinterpret_cast<sockaddr*>(&address), sizeof address), 0);
+    return socket;
+  }
+
+  /// What comes back for these very bytes, until the server closes; `drip`: sent every 50 ms until then.
+  std::string exchange(const std::string& bytes, const std::string& drip = "") const {
+    const int socket = connect();
+    for (std::size_t sent = 0; sent < bytes.size();) {
+      const ssize_t count = send(socket, bytes.data() + sent, bytes.size() - sent, MSG_NOSIGNAL);
+      if (count <= 0) break;
+      sent += static_cast<std::size_t>(count);
+    }
+    std::string received;
+    std::array<char, 4096> buffer;
+    while (true) {
+      pollfd waiting{socket, POLLIN, 0};
+      if (poll(&waiting, 1, 50) == 0) {
+        if (!drip.empty()) send(socket, drip.data(), drip.size(), MSG_NOSIGNAL);
+        continue;
+      }
+      const ssize_t count = recv(socket, buffer.data(), buffer.size(), 0);
+      if (count <= 0) break;
+      received.append(buffer.data(), static_cast<std::size_t>(count));
+    }
+    close(socket);
+    return received;
+  }
 
   support::TemporaryDirectory folder_;
   std::string token_file_ = folder_.path("token");
@@ -148,11 +198,114 @@ TEST_F(ControlApi, RefusesPagesOfOtherOrigins) {
   EXPECT_FALSE(station_.stopped);
 }
 
-TEST_F(ControlApi, RefusesNonsense) {
-  std::string token;
-  std::ifstream(token_file_) >> token;
+TEST_F(ControlApi, ItsOwnPageMayCommandWithTheToken) {
+  const std::string origin = "http://127.0.0.1:" + std::to_string(server_->port());
+  const auto answer = http().Post("/v1/stop", {{"Authorization", "Bearer " + token()}, {"Origin", origin}},
+                                  "{}", "application/json");
+  ASSERT_TRUE(answer);
+  EXPECT_EQ(answer->status, 200) << answer->body;
+  EXPECT_TRUE(station_.stopped);
+}
+
+TEST_F(ControlApi, AnswersToItsOwnNamesOnly) {
   httplib::Client http = this->http();
-  const httplib::Headers headers{{"Authorization", "Bearer " + token}};
+  for (const char* host : {"evil.example", "evil.example:8371", "127.0.0.1.evil.example", "", "[::1"}) {
+    const auto answer = http.Get("/v1/status", {{"Host", host}});
+    ASSERT_TRUE(answer);
+    EXPECT_EQ(answer->status, 421) << host;
+  }
+  for (const char* host : {"localhost", "localhost:8371", "127.0.0.1:1", "[::1]:8371", "192.0.2.7"}) {
+    const auto answer = http.Get("/v1/status", {{"Host", host}});
+    ASSERT_TRUE(answer);
+    EXPECT_EQ(answer->status, 200) << host;
+  }
+  EXPECT_THAT(exchange("GET /v1/status HTTP/1.1\r\n\r\n"), HasSubstr("421"));
+}
+
+TEST_F(ControlApi, RefusesWhatAnotherPageCanSendUnasked) {
+  httplib::Client http = this->http();
+  const httplib::Headers bearer{{"Authorization", "Bearer " + token()}};
+  const auto form = http.Post("/v1/stop", bearer, "{}", "text/plain");
+  ASSERT_TRUE(form);
+  EXPECT_EQ(form->status, 415);
+  const auto probe = http.Options("/v1/stop", {{"Origin", "http://evil.example"}});
+  ASSERT_TRUE(probe);
+  EXPECT_EQ(probe->status, 403);
+  const auto put = http.Put("/v1/stop", bearer, "{}", "application/json");
+  ASSERT_TRUE(put);
+  EXPECT_EQ(put->status, 405);
+  const auto read = http.Get("/v1/results", {{"Sec-Fetch-Site", "cross-site"}});
+  ASSERT_TRUE(read);
+  EXPECT_EQ(read->status, 403);
+  EXPECT_FALSE(read->has_header("Access-Control-Allow-Origin"));
+  EXPECT_FALSE(station_.stopped);
+}
+
+TEST_F(ControlApi, RefusesOversizedRequests) {
+  const std::string head =
+      "POST /v1/stop HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+      "Authorization: Bearer " +
+      token() + "\r\n";
+  EXPECT_THAT(exchange(head + "Content-Length: 1000000\r\n\r\n" + std::string(1'000'000, ' ')),
+              HasSubstr("413"));
+  EXPECT_THAT(exchange(head + "Transfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n"), HasSubstr("411"));
+  std::string headers;
+  for (int i = 0; i < 20'000; ++i) headers += "X-" + std::to_string(i) + ": y\r\n";
+  EXPECT_THAT(exchange(head + headers + "\r\n"), ::testing::Not(HasSubstr("200 OK")));
+  EXPECT_FALSE(station_.stopped);
+  EXPECT_TRUE(client().status()) << "and goes on";
+}
+
+TEST_F(ControlApi, CutsOffWhoSendsSlowlyWhileOthersAreServed) {
+  std::vector<int> silent;
+  for (int i = 0; i < 8; ++i) silent.push_back(connect());
+  EXPECT_TRUE(client().status());
+  const auto begin = std::chrono::steady_clock::now();
+  EXPECT_THAT(exchange("GET /v1/status HTTP/1.1\r\nHost: localhost\r\nX-Slow: ", "s"),
+              ::testing::Not(HasSubstr("200 OK")))
+      << "a byte now and then keeps no connection";
+  EXPECT_GT(std::chrono::steady_clock::now() - begin, std::chrono::seconds(1))
+      << "but a slow one has its time";
+  for (const int socket : silent) close(socket);
+}
+
+TEST_F(ControlApi, ServesTheScreenUnderAPolicyThatLetsNothingElseIn) {
+  for (const char* path : {"/", "/screen.js", "/charts.js", "/screen.css", "/icon.svg"}) {
+    const auto answer = http().Get(path);
+    ASSERT_TRUE(answer);
+    EXPECT_EQ(answer->status, 200) << path;
+    EXPECT_THAT(answer->get_header_value("Content-Security-Policy"), HasSubstr("default-src 'self'"));
+    EXPECT_EQ(answer->get_header_value("X-Content-Type-Options"), "nosniff");
+    EXPECT_EQ(answer->body.find("//cdn"), std::string::npos);
+  }
+  for (const char* path : {"/../etc/passwd", "/%2e%2e/etc/passwd", "/token", "/v1/results/..%2ftoken"}) {
+    const auto answer = http().Get(path);
+    ASSERT_TRUE(answer);
+    EXPECT_EQ(answer->status, 404) << path;
+  }
+}
+
+TEST_F(ControlApi, KeepsItsTokenOverARestartButTakesNobodyElses) {
+  const std::string before = token();
+  server_.reset();
+  auto again = ControlServer::start(station_, "127.0.0.1", 0, token_file_);
+  ASSERT_TRUE(again);
+  EXPECT_EQ(token(), before);
+  again->reset();
+  ASSERT_EQ(chmod(token_file_.c_str(), 0666), 0);
+  again = ControlServer::start(station_, "127.0.0.1", 0, token_file_);
+  ASSERT_TRUE(again);
+  EXPECT_NE(token(), before) << "a file that anybody could have written";
+  again->reset();
+  std::ofstream(token_file_) << "short\n";
+  again = ControlServer::start(station_, "127.0.0.1", 0, token_file_);
+  ASSERT_TRUE(again);
+  EXPECT_EQ(token().size(), 64U);
+}
+
+TEST_F(ControlApi, RefusesNonsense) {
+  httplib::Client http = this->http();
+  const httplib::Headers headers{{"Authorization", "Bearer " + token()}};
   for (const char* body :
        {"", "{", "[]", R"({"serial":5})", R"({"serial":""})", R"({"serial":"X","repeats":100000})"}) {
     const auto answer = http.Post("/v1/checks", headers, body, "application/json");

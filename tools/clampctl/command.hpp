@@ -26,6 +26,8 @@ void add_simulate_command(CLI::App& app, int& exit_code);
 void add_reproduce_command(CLI::App& app, int& exit_code);
 void add_station_commands(CLI::App& app, const CommonOptions& common,
                           int& exit_code);  ///< status, next, stop, clear
+void add_watch_commands(CLI::App& app, const CommonOptions& common,
+                        int& exit_code);  ///< watch, screen
 void add_results_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_report_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_statistics_commands(CLI::App& app, const CommonOptions& common,

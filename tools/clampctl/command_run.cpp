@@ -139,8 +139,9 @@ int run_through_daemon(const RunOptions& options, const StationConfiguration& co
   int failures = 0;
   while (true) {
     if (interrupted && !stop_sent) {
-      if (const Result<void> stopped = daemon.stop(); !stopped) cli::print_error(stopped.error().message);
-      stop_sent = true;
+      const Result<void> stopped = daemon.stop();
+      if (!stopped) cli::print_error(stopped.error().message + "; trying again");
+      stop_sent = stopped.has_value();
     }
     const Result<control::CheckProgress> progress =
         daemon.progress(options.json != "-" && cli::colours_wanted());

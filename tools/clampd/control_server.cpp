@@ -29,7 +29,7 @@ namespace {
 constexpr const char* kJson = "application/json";
 constexpr std::size_t kLargestBody = 64 * 1024;
 constexpr std::size_t kLargestRequest = kLargestBody + 16 * 1024;  // with its headers
-constexpr std::chrono::milliseconds kLongestRequest{5000};
+constexpr std::chrono::milliseconds kLongestRequest{2000};
 
 void answer(httplib::Response& response, int status, const nlohmann::ordered_json& document) {
   response.status = status;
@@ -221,6 +221,8 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& targe
     const int on = 1;
     setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
   });
+  // So many may dawdle at once before somebody waits for them.
+  server.new_task_queue = [] { return new httplib::ThreadPool(16); };
   server.set_payload_max_length(kLargestBody);
   server.set_default_headers(default_headers());
   server.set_pre_routing_handler([&http](const httplib::Request& request, httplib::Response& response) {

@@ -40,7 +40,7 @@ namespace clampd::control {
 // this host. Every request must name this host (an IP address, localhost or the host's name), so that a page
 // of another site cannot reach the station through a name that it makes point here; pages of other origins
 // are refused, and so are bodies other than JSON, in chunks, or larger than 64 KiB, and requests that take
-// longer than 5 s.
+// longer than 2 s.
 
 /// A line of the operator's panel.
 struct PanelLine {

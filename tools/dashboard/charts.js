@@ -22,7 +22,9 @@ function ticks(low, high, count) {
 
 export function shortNumber(value, digits = 4) {
   if (value === null || !Number.isFinite(value)) return '–';
-  return String(Number(value.toPrecision(digits)));
+  const size = Math.abs(value);
+  if (size > 0 && (size < 1e-3 || size >= 1e6)) return value.toExponential(digits - 1);
+  return String(Number(value.toPrecision(digits)) + 0);
 }
 
 export function rangeOf(lists) {
@@ -44,11 +46,11 @@ function frame(svg, { x, y, title, bottom, xTitle, xTicks, yTicks = true }) {
   svg.replaceChildren();
   const width = svg.clientWidth || 400;
   const height = svg.clientHeight || 90;
-  const area = { left: 52, right: width - 8, top: 6, bottom: height - (bottom ? 20 : 5) };
+  const area = { left: 52, right: width - 8, top: title ? 19 : 6, bottom: height - (bottom ? 20 : 5) };
   const px = (value) => area.left + ((value - x[0]) / (x[1] - x[0])) * (area.right - area.left);
   const py = (value) => area.bottom - ((value - y[0]) / (y[1] - y[0])) * (area.bottom - area.top);
   if (yTicks)
-    for (const tick of ticks(y[0], y[1], Math.max(2, (area.bottom - area.top) / 30))) {
+    for (const tick of ticks(y[0], y[1], Math.max(2, Math.floor((area.bottom - area.top) / 18)))) {
       shape(svg, 'line', { class: 'grid', x1: area.left, x2: area.right, y1: py(tick), y2: py(tick) });
       shape(svg, 'text', { x: area.left - 6, y: py(tick) + 4, 'text-anchor': 'end' }, shortNumber(tick));
     }
@@ -60,7 +62,7 @@ function frame(svg, { x, y, title, bottom, xTitle, xTicks, yTicks = true }) {
     shape(svg, 'text', { x: area.right, y: height - 5, 'text-anchor': 'end' }, xTitle ?? '');
   }
   shape(svg, 'rect', { class: 'frame', x: area.left, y: area.top, width: area.right - area.left, height: area.bottom - area.top });
-  if (title) shape(svg, 'text', { class: 'title', x: area.left + 8, y: area.top + 16 }, title);
+  if (title) shape(svg, 'text', { class: 'title', x: area.left, y: 13 }, title);
   return { px, py, area };
 }
 
@@ -81,7 +83,9 @@ export function lineChart(svg, { x, y, title, bottom, xTitle, series }) {
 export function controlChart(svg, { centre, lower, upper, points, signals }, xTitle) {
   const y = rangeOf([points, [centre, lower, upper].filter((value) => value !== null)]);
   const xs = points.map((_, i) => i + 1);
-  const { px, py, area } = frame(svg, { x: [0.5, points.length + 0.5], y, bottom: true, xTitle });
+  const each = Math.ceil(points.length / 12);
+  const xTicks = xs.filter((x) => x % each === 0).map((x) => [x, String(x)]);
+  const { px, py, area } = frame(svg, { x: [0.5, points.length + 0.5], y, bottom: true, xTicks, xTitle });
   const rule = (value, kind) => {
     if (value !== null) shape(svg, 'line', { class: kind, x1: area.left, x2: area.right, y1: py(value), y2: py(value) });
   };

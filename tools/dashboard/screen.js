@@ -12,6 +12,11 @@ function element(tag, properties = {}, ...children) {
   return node;
 }
 
+/** Without the minus that a rounded zero would keep. */
+const fixed = (value, digits) => (Number(value.toFixed(digits)) + 0).toFixed(digits);
+
+const unitText = (unit) => unit.replaceAll('^2', '²').replaceAll('^3', '³');
+
 const setText = (node, text) => {
   if (node.textContent !== text) node.textContent = text;
 };
@@ -123,7 +128,7 @@ function showStatus() {
   $('state').className = `pill ${kStatePills[status.state] ?? 'warn'}`;
   $('simulated').hidden = !status.simulated;
   showInterlocks();
-  setText($('link'), `${status.interface} ${status.link} · ${(status.force_N / 1000).toFixed(1)} kN · ${status.velocity_rad_s.toFixed(0)} rad/s · ${status.torque_Nm.toFixed(2)} N m`);
+  setText($('link'), `${status.interface} ${status.link} · ${fixed(status.force_N / 1000, 1)} kN · ${fixed(status.velocity_rad_s, 0)} rad/s · ${fixed(status.torque_Nm, 2)} N m`);
   $('notices').replaceChildren(...[status.notice, status.master, ...(status.warnings ?? [])].filter(Boolean).map((text) => element('div', { textContent: text })));
   const fault = status.state === 'FAULT';
   $('fault').hidden = !fault;
@@ -133,7 +138,8 @@ function showStatus() {
     $('clear').disabled = !status.clearable;
   }
   $('serial').disabled = fault;
-  $('start').disabled = status.state !== 'IDLE' || moving() || status.judging;
+  // Not `disabled`: Enter would then do nothing, without a word.
+  $('start').setAttribute('aria-disabled', status.state !== 'IDLE' || moving() || status.judging);
   $('verdict').classList.remove('stale');
   showVerdict();
 }
@@ -143,7 +149,7 @@ function showOffline() {
   $('state').className = 'pill bad';
   $('notices').replaceChildren(element('div', { textContent: 'The station’s daemon does not answer: nothing here is up to date. `systemctl status clampd` says why.' }));
   $('verdict').classList.add('stale');
-  $('start').disabled = true;
+  $('start').setAttribute('aria-disabled', true);
 }
 
 // ---------------------------------------------------------------------------------------------- runs
@@ -193,7 +199,7 @@ function showParameters(box, parameters) {
     const digits = parameter.sd > 0 ? Math.min(6, Math.max(2, Math.ceil(Math.log10(Math.abs(parameter.value) / parameter.sd)) + 1)) : 4;
     const known = parameter.value !== null && parameter.value !== undefined;
     cells.push(element('b', { textContent: parameter.name }), bar,
-               element('span', { className: 'value', textContent: known ? `${shortNumber(parameter.value, digits)} ± ${shortNumber(parameter.sd, 2)} ${parameter.unit}` : '' }),
+               element('span', { className: 'value', textContent: known ? `${shortNumber(parameter.value, digits)} ± ${shortNumber(parameter.sd, 2)} ${unitText(parameter.unit)}` : '' }),
                element('span', { className: `word ${parameter.verdict}`, textContent: parameter.verdict === 'fail' ? 'FAIL' : parameter.verdict }));
   }
   box.replaceChildren(...cells);
@@ -383,7 +389,7 @@ document.addEventListener('keydown', (event) => {
 let checks = [];
 let chosen = null;
 
-const when = (started) => new Date(started).toLocaleString(undefined, { dateStyle: 'short', timeStyle: 'medium' });
+const when = (started) => new Date(started).toLocaleString('sv-SE');
 const badge = (verdict, marginal) => element('span', { className: `badge ${verdict}`, textContent: verdict + (marginal ? ' !' : ''), title: marginal ? 'marginal' : '' });
 
 async function listHistory() {
@@ -488,7 +494,7 @@ async function showStatistics() {
   const body = element('tbody');
   for (const parameter of statistics.parameters) {
     const signals = parameter.individuals.signals.length + parameter.moving_range.signals.length;
-    const row = element('tr', { tabIndex: 0 }, ...[`${parameter.name}  ${parameter.unit}`, parameter.n, shortNumber(parameter.mean), shortNumber(parameter.sd_overall, 3), shortNumber(parameter.cp.value, 3),
+    const row = element('tr', { tabIndex: 0 }, ...[`${parameter.name}, ${unitText(parameter.unit)}`, parameter.n, shortNumber(parameter.mean), shortNumber(parameter.sd_overall, 3), shortNumber(parameter.cp.value, 3),
                         shortNumber(parameter.cpk.value, 3), shortNumber(parameter.ppk.value, 3), signals || ''].map((text) => element('td', { textContent: text })));
     row.dataset.name = parameter.name;
     row.addEventListener('click', () => chart(parameter.name));
@@ -504,7 +510,7 @@ function chart(name) {
   charted = name;
   const parameter = statistics.parameters.find((each) => each.name === name);
   for (const row of $('capability').querySelectorAll('tbody tr')) row.setAttribute('aria-selected', row.dataset.name === name);
-  setText($('chart-name'), `${name}${parameter.unit ? `, ${parameter.unit}` : ''}; red dashes: control limits; specification ${shortNumber(parameter.lower)} to ${shortNumber(parameter.upper)}`);
+  setText($('chart-name'), `${name}${parameter.unit ? `, ${unitText(parameter.unit)}` : ''}; red dashes: control limits; specification ${shortNumber(parameter.lower)} to ${shortNumber(parameter.upper)}`);
   controlChart($('chart-individuals'), parameter.individuals, 'brake');
   controlChart($('chart-range'), parameter.moving_range, 'brake');
   const signals = [...parameter.individuals.signals.map((signal) => `${statistics.serials[signal.at] ?? ''}: ${signal.description} (${signal.rule})`),
