@@ -79,7 +79,7 @@ TEST(StationConfiguration, PublishesNowhereUnlessToldWhere) {
     EXPECT_THAT(refused.error().message, StartsWith("/etc/clampd/station.toml:")) << wrong;
   }
   EXPECT_THAT(parse("[mqtt]\npassword = \"secret\"\n").error().message,
-              HasSubstr("did you mean password_file?"));
+              HasSubstr("unknown key password in [mqtt]; known are host"));
 }
 
 TEST(StationConfiguration, AnExtendedModelIsForThePredictionErrorMethod) {
