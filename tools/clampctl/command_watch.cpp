@@ -92,6 +92,10 @@ std::string screen(const control::StationStatus& status, bool colour) {
         fmt::format("\n  {}\n  {}\n", paint("31", status.fault_text),
                     status.clearable ? "its cause is gone: `clampctl clear`" : "its cause is still there");
   if (!status.next_serial.empty()) text += fmt::format("  next     {}\n", status.next_serial);
+  for (const control::PublishingChannel& channel : status.publishing)
+    text += fmt::format("  publish  {} ({}): {}, {} checks wait{}{}\n", channel.channel, channel.where,
+                        channel.connected ? "connected" : "not connected", channel.pending,
+                        channel.error.empty() ? "" : "; ", channel.error);
   for (const std::string& notice : {status.notice, status.master})
     if (!notice.empty()) text += fmt::format("  {}\n", paint("33", notice));
   return text;

@@ -122,6 +122,12 @@ function showInterlocks() {
   $('interlocks').replaceChildren(...chips);
 }
 
+function publishingTrouble(channel) {
+  if (!channel.error && (channel.connected || channel.pending === 0)) return '';
+  const waiting = channel.pending > 0 ? ` ${channel.pending} checks wait to be published; they are safe in the station’s database.` : '';
+  return `${channel.channel} (${channel.where}): ${channel.error || 'not connected.'}${waiting}`;
+}
+
 function showStatus() {
   setText($('station'), status.station);
   setText($('state'), status.state);
@@ -129,7 +135,7 @@ function showStatus() {
   $('simulated').hidden = !status.simulated;
   showInterlocks();
   setText($('link'), `${status.interface} ${status.link} · ${fixed(status.force_N / 1000, 1)} kN · ${fixed(status.velocity_rad_s, 0)} rad/s · ${fixed(status.torque_Nm, 2)} N m`);
-  $('notices').replaceChildren(...[status.notice, status.master, ...(status.warnings ?? [])].filter(Boolean).map((text) => element('div', { textContent: text })));
+  $('notices').replaceChildren(...[status.notice, status.master, ...status.publishing.map(publishingTrouble)].filter(Boolean).map((text) => element('div', { textContent: text })));
   const fault = status.state === 'FAULT';
   $('fault').hidden = !fault;
   if (fault) {
@@ -266,17 +272,14 @@ async function follow() {
     status = await ask('/v1/status');
     if (wasOffline) {
       reference = await ask('/v1/reference');
-      live = { ...live, run: -1 };
+      live = { run: 0, repeat: 0, force_N: [], velocity_rad_s: [], torque_Nm: [] };
       seen = { check: null, judged: null };
       await checkSession();
     }
     await followRecord();
     showStatus();
-    if (wasOffline || moving() || live.run < 1) {
-      if (live.run < 0) live.run = 0;
-      await followRun();
-      if (live.run < 1) drawRun('live', live);
-    }
+    await followRun();
+    if (wasOffline) drawRun('live', live);
   } catch (error) {
     status = null;
     expected = 0;
