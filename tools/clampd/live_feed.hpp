@@ -21,10 +21,10 @@ class LiveFeed {
   nlohmann::ordered_json since(std::uint64_t run, std::size_t row) const;
 
  private:
+  std::int32_t last_index_ = -1;
   mutable std::mutex mutex_;  ///< guards all below
   std::uint64_t run_ = 0;
   std::uint16_t repeat_ = 0;
-  std::int32_t last_index_ = -1;
   std::vector<double> force_N_;
   std::vector<double> velocity_rad_s_;
   std::vector<double> torque_Nm_;

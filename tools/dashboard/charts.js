@@ -23,7 +23,7 @@ function ticks(low, high, count) {
 export function shortNumber(value, digits = 4) {
   if (value === null || !Number.isFinite(value)) return '–';
   const size = Math.abs(value);
-  if (size > 0 && (size < 1e-3 || size >= 1e6)) return value.toExponential(digits - 1);
+  if (size > 0 && (size < 1e-3 || size >= 1e6)) return value.toExponential(digits - 1).replace(/\.?0+e/, 'e');
   return String(Number(value.toPrecision(digits)) + 0);
 }
 
@@ -46,7 +46,7 @@ function frame(svg, { x, y, title, bottom, xTitle, xTicks, yTicks = true }) {
   svg.replaceChildren();
   const width = svg.clientWidth || 400;
   const height = svg.clientHeight || 90;
-  const area = { left: 52, right: width - 8, top: title ? 19 : 6, bottom: height - (bottom ? 20 : 5) };
+  const area = { left: 60, right: width - 8, top: title ? 19 : 6, bottom: height - (bottom ? 20 : 5) };
   const px = (value) => area.left + ((value - x[0]) / (x[1] - x[0])) * (area.right - area.left);
   const py = (value) => area.bottom - ((value - y[0]) / (y[1] - y[0])) * (area.bottom - area.top);
   if (yTicks)
