@@ -8,6 +8,7 @@
 #include <fmt/ranges.h>
 
 #include "clampd/base/parallel.hpp"
+#include "clampd/identify/validation.hpp"
 #include "src/diagnose/evidence.hpp"
 #include "src/diagnose/gain.hpp"
 #include "src/diagnose/residuals.hpp"
@@ -37,7 +38,7 @@ constexpr std::size_t kFewestRows = 30;
 Result<void> check(std::span<const Run> runs) {
   if (runs.empty()) return failure("no run to diagnose");
   for (const Run& run : runs) {
-    if (run.force_N.size() != run.size() || run.velocity_rad_s.size() != run.size())
+    if (run.force_N.empty() || run.velocity_rad_s.empty())
       return failure(
           fmt::format("run {}: a diagnosis of the brake needs readings of force and velocity; describe a "
                       "drive without them "
@@ -46,17 +47,8 @@ Result<void> check(std::span<const Run> runs) {
     if (run.size() < kFewestRows)
       return failure(fmt::format("run {}: {} rows are too few; a diagnosis needs at least {}", run.name,
                                  run.size(), kFewestRows));
-    for (const auto* channel : {&run.time_s, &run.torque_Nm, &run.force_N, &run.velocity_rad_s})
-      if (!std::all_of(channel->begin(), channel->end(), [](double value) { return std::isfinite(value); }))
-        return failure(fmt::format("run {}: a reading is not a finite number", run.name));
-    for (std::size_t k = 1; k < run.size(); ++k)
-      if (steps_in(run.time_s[k] - run.time_s[k - 1]) == 0)
-        return failure(
-            fmt::format("run {}: from {} s to {} s time does not increase or leaps by more than {} s; split "
-                        "the run there",
-                        run.name, run.time_s[k - 1], run.time_s[k], kLongestGap_s));
   }
-  return {};
+  return check_runs(runs);
 }
 
 std::vector<EstimatedParameter> base_parameters(const ExtendedEstimate& estimate) {

@@ -5,13 +5,13 @@
 #include <limits>
 
 #include "src/diagnose/evidence.hpp"
+#include "src/diagnose/residuals.hpp"
 
 namespace clampd::diagnosing {
 
 namespace {
 
 constexpr std::size_t kHeldOutEvery = 3;
-constexpr int kLags = 20;
 
 /// The hypothesis on some of its runs only.
 Hypothesis on_runs(const Hypothesis& hypothesis, const std::vector<std::size_t>& chosen) {
@@ -23,29 +23,6 @@ Hypothesis on_runs(const Hypothesis& hypothesis, const std::vector<std::size_t>&
     part.estimate.initial_states.push_back(hypothesis.estimate.initial_states[r]);
   }
   return part;
-}
-
-double portmanteau_surprise(std::span<const FilteredRun> runs) {
-  double statistic = 0.0;
-  double degrees = 0.0;
-  for (const bool force : {true, false})
-    for (int lag = 1; lag <= kLags; ++lag) {
-      double product = 0.0, square = 0.0, count = 0.0;
-      for (const FilteredRun& run : runs) {
-        const std::vector<double>& z = force ? run.force : run.velocity;
-        for (std::size_t k = static_cast<std::size_t>(lag); k < z.size(); ++k) {
-          const double both = z[k] * z[k - static_cast<std::size_t>(lag)];
-          if (!std::isfinite(both)) continue;
-          product += both;
-          square += z[k] * z[k];
-          count += 1.0;
-        }
-      }
-      if (!(square > 0.0)) continue;
-      statistic += count * product * product / (square * square);
-      degrees += 1.0;
-    }
-  return surprise_of_chi_square(statistic, degrees);
 }
 
 GainFigures judge(const Hypothesis& trained, Hypothesis held) {
@@ -85,7 +62,7 @@ GainFigures judge(const Hypothesis& trained, Hypothesis held) {
   figures.simulated_rms_velocity_rad_s = std::sqrt(simulated_velocity / velocities);
   figures.log_likelihood_per_sample = likelihood / (0.5 * (forces + velocities));
   figures.misfit = squares / (forces + velocities);
-  figures.whiteness_p_value = p_value_of(portmanteau_surprise(filtered));
+  figures.whiteness_p_value = p_value_of(surprise_of_colour(filtered));
   return figures;
 }
 
@@ -158,11 +135,7 @@ std::vector<RunView> views_of(std::span<const Run> runs, const Hypothesis& base,
     view.time_s = runs[r].time_s;
     view.torque_Nm = runs[r].torque_Nm;
     view.position_rad = after[r].position_rad;
-    EffectDelays late;
-    for (const EffectValues& values : extended.estimate.parameters.effects) {
-      const EffectDelays each = delays_of(values);
-      late = {late.force + each.force, late.velocity + each.velocity, late.torque + each.torque};
-    }
+    const EffectDelays late = delays_of(extended.estimate.parameters);
     view.force = {runs[r].force_N,
                   before[r].predicted_force_N,
                   as_recorded(after[r].predicted_force_N, late.force),

@@ -355,6 +355,20 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
           fitted_from({values, 0.0}, hypothesis, kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
           candidate.fitted);
   }
+  if (info_of(*candidate.effect).repeatable) {
+    // Beside one period another stands out that the base model hides: perhaps that is the only one.
+    Candidate beside;
+    beside.effect = candidate.effect;
+    add_peaks(candidate.fitted, beside);
+    if (!beside.starts.empty() && beside.starts.front().predicted_gain > kWorthAFit * candidate.gain) {
+      const Hypothesis both = fitted_from(beside.starts.front(), candidate.fitted,
+                                          candidate.fitted.estimate.noise.torque_Nm, kRoughIterations);
+      if (both.possible())
+        keep_if_better(fitted_from({both.estimate.parameters.effects.back(), 0.0}, hypothesis,
+                                   kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
+                       candidate.fitted);
+    }
+  }
   // One choice may only show its worth far from the neutral value, where another one leads.
   std::vector<Hypothesis> others;
   add_otherwise_chosen(candidate.fitted, candidate.fitted.estimate.parameters.effects.size() - 1, others);

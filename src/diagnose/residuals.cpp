@@ -320,6 +320,12 @@ Answer gain_of(const SignalScores& scores, Eigen::Index first, Eigen::Index coun
 
 }  // namespace
 
+double surprise_of_colour(std::span<const FilteredRun> runs) {
+  const Correlation force = correlation(runs, true, true, 1, kLags);
+  const Correlation velocity = correlation(runs, false, false, 1, kLags);
+  return surprise_of_chi_square(force.statistic + velocity.statistic, force.degrees + velocity.degrees);
+}
+
 Residuals examine(const Hypothesis& hypothesis, int threads) {
   Residuals residuals;
   const std::vector<FilteredRun> filtered = filter_runs(hypothesis.runs, hypothesis.estimate);

@@ -23,4 +23,7 @@ struct Residuals {
 
 Residuals examine(const Hypothesis& hypothesis, int threads);
 
+/// How surprising the innovations' correlation with the ones before them is, force and velocity together.
+double surprise_of_colour(std::span<const FilteredRun> runs);
+
 }  // namespace clampd::diagnosing

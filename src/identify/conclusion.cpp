@@ -9,6 +9,7 @@
 #include <Eigen/Cholesky>
 #include <boost/math/distributions/chi_squared.hpp>
 
+#include "clampd/identify/validation.hpp"
 #include "src/identify/uncertainty.hpp"
 
 namespace clampd {
@@ -27,36 +28,6 @@ constexpr double kUndetermined = 3.0;
 
 /// Probability of calling runs different that are not.
 constexpr double kRunsDiffer = 1e-3;
-
-Result<void> check_runs(std::span<const Run> runs) {
-  if (runs.empty()) return failure("no run to identify from");
-  for (const Run& run : runs) {
-    const std::size_t rows = run.size();
-    if (rows < 2) return failure(fmt::format("run {}: has {} rows; at least 2 are needed", run.name, rows));
-    const std::pair<std::string_view, const std::vector<double>*> columns[] = {
-        {"time_s", &run.time_s},
-        {"torque_Nm", &run.torque_Nm},
-        {"velocity_rad_s", &run.velocity_rad_s},
-        {"force_N", &run.force_N}};
-    for (const auto& [name, column] : columns) {
-      if (column->size() != rows)
-        return failure(
-            fmt::format("run {}: {} has {} rows, time_s {}", run.name, name, column->size(), rows));
-      const auto bad =
-          std::find_if_not(column->begin(), column->end(), [](double x) { return std::isfinite(x); });
-      if (bad != column->end())
-        return failure(
-            fmt::format("run {}: row {} of {} is not finite", run.name, bad - column->begin(), name));
-    }
-    for (std::size_t k = 1; k < rows; ++k)
-      if (steps_in(run.time_s[k] - run.time_s[k - 1]) == 0)
-        return failure(
-            fmt::format("run {}: from {} s to {} s time does not increase or leaps by more than {} s; split "
-                        "the run there",
-                        run.name, run.time_s[k - 1], run.time_s[k], kLongestGap_s));
-  }
-  return {};
-}
 
 /// Whether the runs' own scores scatter more than the noise explains: a chi-square test of the one covariance
 /// against the other.

@@ -2,11 +2,16 @@
 
 #include <span>
 
+#include "clampd/base/result.hpp"
 #include "clampd/brake/simulation.hpp"
 #include "clampd/identify/information.hpp"
 #include "clampd/record/run.hpp"
 
 namespace clampd {
+
+/// Whether runs can be identified from: two rows or more of finite numbers in all columns, time increasing
+/// without leaps. The error says which run, what and where.
+Result<void> check_runs(std::span<const Run> runs);
 
 /// Whiteness of a residual series.
 struct Portmanteau {
