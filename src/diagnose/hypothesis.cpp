@@ -61,10 +61,12 @@ std::vector<std::vector<double>> combinations(const Effect& effect, std::span<co
   return list;
 }
 
+/// Alternatives tried: choices, and shapes, of which nothing is known where the effect is absent, so that the
+/// best of many is taken (Davies 1987).
 double choices_of(const Effect& effect) {
   double count = 1.0;
   for (const EffectParameter& parameter : info_of(effect).parameters)
-    if (!is_estimated(parameter))
+    if (parameter.role != Role::Strength)
       count *= std::max<double>(1.0, static_cast<double>(parameter.starts.size()));
   return count;
 }

@@ -163,7 +163,7 @@ struct DiagnoseOptions {
   bool views = false;  ///< fill Diagnosis::views
   int threads = 0;     ///< 0: as many as there are processors
   int most_effects = 4;
-  double false_alarm = 0.01;  ///< chance that a faultless set is not called adequate
+  double false_alarm = 0.005;  ///< chance that a faultless set is not called adequate
   /// Called from one thread at a time with the share done and what is being done.
   std::function<void(double, const std::string&)> progress;
 };
