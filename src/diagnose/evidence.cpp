@@ -14,8 +14,8 @@ double surprise_of_chi_square(double statistic, double degrees) {
   const double x = 0.5 * statistic;
   const double probability = boost::math::gamma_q(half, x);
   if (probability > 1e-250) return -std::log(probability);
-  // Beyond the smallest numbers: the tail's leading terms.
-  return x - (half - 1.0) * std::log(x) + std::lgamma(half) - std::log1p((half - 1.0) / x);
+  // Beyond the smallest numbers: the tail's leading terms. Not std::lgamma: it writes a global sign.
+  return x - (half - 1.0) * std::log(x) + boost::math::lgamma(half) - std::log1p((half - 1.0) / x);
 }
 
 double evidence_of(double gain_nats, double degrees, double alternatives) {

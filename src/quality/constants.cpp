@@ -4,6 +4,7 @@
 
 #include <boost/math/distributions/normal.hpp>
 #include <boost/math/quadrature/gauss.hpp>
+#include <boost/math/special_functions/gamma.hpp>
 
 #include "clampd/base/assert.hpp"
 
@@ -43,7 +44,8 @@ double range_sd(int n) {
 
 double deviation_mean(int n) {
   CLAMPD_ASSERT(n >= 2);
-  return std::sqrt(2.0 / (n - 1)) * std::exp(std::lgamma(0.5 * n) - std::lgamma(0.5 * (n - 1)));
+  return std::sqrt(2.0 / (n - 1)) *
+         std::exp(boost::math::lgamma(0.5 * n) - boost::math::lgamma(0.5 * (n - 1)));
 }
 
 double average_range_mean(int n, int groups) {
