@@ -95,25 +95,27 @@ void Line::CloseChip::operator()(gpiod_chip* chip) const noexcept {
   gpiod_chip_close(chip);
 }
 
+Result<Line> Line::find(const LineSettings& settings, LineRole role) {
+  Line found;
+  found.chip_.reset(open_chip(settings));
+  if (found.chip_) found.line_ = find_line(found.chip_.get(), settings.line);
+  if (found.line_ == nullptr) return line_error(settings, role, errno == 0 ? ENOENT : errno);
+  return found;
+}
+
 Result<Line> Line::open_input(const LineSettings& settings, LineRole role) {
-  Line input;
-  input.chip_.reset(open_chip(settings));
-  if (!input.chip_) return line_error(settings, role, errno == 0 ? ENOENT : errno);
-  input.line_ = find_line(input.chip_.get(), settings.line);
-  if (input.line_ == nullptr) return line_error(settings, role, errno == 0 ? ENOENT : errno);
-  if (gpiod_line_request_both_edges_events_flags(input.line_, kConsumer, request_flags(settings)) != 0)
-    return line_error(settings, role, errno, input.line_);
+  Result<Line> input = find(settings, role);
+  if (input &&
+      gpiod_line_request_both_edges_events_flags(input->line_, kConsumer, request_flags(settings)) != 0)
+    return line_error(settings, role, errno, input->line_);
   return input;
 }
 
 Result<Line> Line::open_output(const LineSettings& settings, LineRole role, bool on) {
-  Line output;
-  output.chip_.reset(open_chip(settings));
-  if (!output.chip_) return line_error(settings, role, errno == 0 ? ENOENT : errno);
-  output.line_ = find_line(output.chip_.get(), settings.line);
-  if (output.line_ == nullptr) return line_error(settings, role, errno == 0 ? ENOENT : errno);
-  if (gpiod_line_request_output_flags(output.line_, kConsumer, request_flags(settings), on ? 1 : 0) != 0)
-    return line_error(settings, role, errno, output.line_);
+  Result<Line> output = find(settings, role);
+  if (output &&
+      gpiod_line_request_output_flags(output->line_, kConsumer, request_flags(settings), on ? 1 : 0) != 0)
+    return line_error(settings, role, errno, output->line_);
   return output;
 }
 
@@ -139,14 +141,10 @@ bool Line::set(bool on) noexcept {
 }
 
 Result<LineInfo> inspect_line(const LineSettings& settings, LineRole role) {
-  gpiod_chip* const chip = open_chip(settings);
-  if (chip == nullptr) return line_error(settings, role, errno == 0 ? ENOENT : errno);
-  gpiod_line* const line = find_line(chip, settings.line);
-  if (line == nullptr) {
-    const int error = errno == 0 ? ENOENT : errno;
-    gpiod_chip_close(chip);
-    return line_error(settings, role, error);
-  }
+  const Result<Line> found = Line::find(settings, role);
+  if (!found) return tl::unexpected(found.error());
+  gpiod_chip* const chip = found->chip_.get();
+  gpiod_line* const line = found->line_;
   LineInfo info;
   info.chip = fmt::format("{} [{}]", gpiod_chip_name(chip), gpiod_chip_label(chip));
   info.offset = gpiod_line_offset(line);
@@ -155,7 +153,6 @@ Result<LineInfo> inspect_line(const LineSettings& settings, LineRole role) {
     const char* consumer = gpiod_line_consumer(line);
     info.consumer = consumer == nullptr ? "the kernel" : consumer;
   }
-  gpiod_chip_close(chip);
   return info;
 }
 

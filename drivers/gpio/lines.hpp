@@ -37,6 +37,14 @@ struct Edge {
   std::int64_t stamp_ns = 0;
 };
 
+/// A line as it is found without requesting it.
+struct LineInfo {
+  std::string chip;  ///< "gpiochip0 [label]"
+  std::uint32_t offset = 0;
+  std::string name;
+  std::string consumer;  ///< who has it; empty: nobody
+};
+
 /// One requested line. It is given back when this goes; its level then is up to the chip.
 class Line {
  public:
@@ -44,6 +52,7 @@ class Line {
   /// whom, no interrupt.
   static Result<Line> open_input(const LineSettings& settings, LineRole role);
   static Result<Line> open_output(const LineSettings& settings, LineRole role, bool on);
+  friend Result<LineInfo> inspect_line(const LineSettings& settings, LineRole role);
 
   /// Of an input: readable by poll(2) when an edge waits.
   int file() const noexcept;
@@ -59,17 +68,13 @@ class Line {
     void operator()(gpiod_chip* chip) const noexcept;
   };
 
+  /// Not requested yet.
+  static Result<Line> find(const LineSettings& settings, LineRole role);
+
   std::unique_ptr<gpiod_chip, CloseChip> chip_;
   gpiod_line* line_ = nullptr;  ///< belongs to the chip
 };
 
-/// A line as it is found without requesting it.
-struct LineInfo {
-  std::string chip;  ///< "gpiochip0 [label]"
-  std::uint32_t offset = 0;
-  std::string name;
-  std::string consumer;  ///< who has it; empty: nobody
-};
 /// Errors: no such chip or line.
 Result<LineInfo> inspect_line(const LineSettings& settings, LineRole role);
 

@@ -96,10 +96,6 @@ tl::unexpected<Error> differs(const CheckRecord& first, const CheckRecord& other
       first.id, other.id, what));
 }
 
-bool is_valid(const CheckRecord& check) {
-  return check.verdict == Verdict::Pass || check.verdict == Verdict::Fail;
-}
-
 }  // namespace
 
 Result<std::string> format_dfq(const std::vector<CheckRecord>& checks,
@@ -164,7 +160,7 @@ Result<std::string> format_dfq(const std::vector<CheckRecord>& checks,
   for (const CheckRecord* check : sorted) {
     for (std::size_t i = 0; i < first.parameters.size(); ++i) {
       const double value = i < check->parameters.size() ? check->parameters[i].value : NAN;
-      const bool valid = is_valid(*check) && std::isfinite(value);
+      const bool valid = is_about_the_brake(check->verdict) && std::isfinite(value);
       lines.number(fmt::format("K0001/{}", i + 1), valid ? value : 0.0);
       lines.integer(fmt::format("K0002/{}", i + 1), valid ? 0 : 255);
     }

@@ -200,18 +200,29 @@ void insert_details(SQLite::Database& database, const CheckRecord& r) {
   }
 }
 
-Result<RunRecord> read_run_row(SQLite::Statement& statement, const std::string& path, const std::string& id) {
+/// All of a run but its rows.
+constexpr const char* kRunFigures =
+    "name, sha256, tracking_rms_N, tracking_max_N, fit_force_rms_N, fit_velocity_rms_rad_s, estimate, "
+    "converged, "
+    "removed";
+
+RunRecord read_run_figures(Columns& columns) {
   RunRecord record;
-  std::string name, csv, estimate;
-  Columns columns(statement);
-  columns >> name >> csv >> record.checksum_sha256 >> record.tracking_rms_N >> record.tracking_max_N >>
+  std::string estimate;
+  columns >> record.run.name >> record.checksum_sha256 >> record.tracking_rms_N >> record.tracking_max_N >>
       record.fit_force_rms_N >> record.fit_velocity_rms_rad_s >> estimate >> record.converged >>
       record.removed;
   record.estimate = numbers_from(estimate);
-  if (!record.removed.empty()) {
-    record.run.name = name;
-    return record;
-  }
+  return record;
+}
+
+Result<RunRecord> read_run(SQLite::Statement& statement, const std::string& path, const std::string& id) {
+  Columns columns(statement);
+  RunRecord record = read_run_figures(columns);
+  if (!record.removed.empty()) return record;
+  const std::string name = record.run.name;
+  std::string csv;
+  columns >> csv;
   if (sha256_hex(csv) != record.checksum_sha256)
     return failure(fmt::format(
         "{}: {} of check {} was changed after it was recorded: its checksum does not match", path, name, id));
@@ -237,12 +248,10 @@ void read_parameters(SQLite::Database& database, CheckRecord& r) {
 Result<void> read_details(SQLite::Database& database, const std::string& path, CheckRecord& r) {
   read_parameters(database, r);
   SQLite::Statement runs(
-      database,
-      "SELECT name, csv, sha256, tracking_rms_N, tracking_max_N, fit_force_rms_N, "
-      "fit_velocity_rms_rad_s, estimate, converged, removed FROM runs WHERE check_id = ? ORDER BY position");
+      database, fmt::format("SELECT {}, csv FROM runs WHERE check_id = ? ORDER BY position", kRunFigures));
   runs.bind(1, r.id);
   while (runs.executeStep()) {
-    Result<RunRecord> run = read_run_row(runs, path, r.id);
+    Result<RunRecord> run = read_run(runs, path, r.id);
     if (!run) return tl::unexpected(run.error());
     r.runs.push_back(std::move(*run));
   }
@@ -425,16 +434,11 @@ Result<CheckRecord> CheckStore::load_result(const std::string& id) const {
     read_parameters(database_->handle, record);
     SQLite::Statement runs(
         database_->handle,
-        "SELECT name, sha256, tracking_rms_N, tracking_max_N, fit_force_rms_N, "
-        "fit_velocity_rms_rad_s, estimate, converged, removed FROM runs WHERE check_id = ? "
-        "ORDER BY position");
+        fmt::format("SELECT {} FROM runs WHERE check_id = ? ORDER BY position", kRunFigures));
     runs.bind(1, id);
     while (runs.executeStep()) {
-      RunRecord& run = record.runs.emplace_back();
-      std::string estimate;
-      Columns(runs) >> run.run.name >> run.checksum_sha256 >> run.tracking_rms_N >> run.tracking_max_N >>
-          run.fit_force_rms_N >> run.fit_velocity_rms_rad_s >> estimate >> run.converged >> run.removed;
-      run.estimate = numbers_from(estimate);
+      Columns columns(runs);
+      record.runs.push_back(read_run_figures(columns));
     }
     return record;
   } catch (const SQLite::Exception& exception) {

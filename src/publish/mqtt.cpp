@@ -10,7 +10,6 @@
 #include "clampd/publish/channel.hpp"
 #include "clampd/publish/document.hpp"
 #include "clampd/publish/sparkplug.hpp"
-#include "clampd/record/file.hpp"
 #include "clampd/record/utc.hpp"
 #include "src/publish/password.hpp"
 #include "src/publish/reachable.hpp"

@@ -76,6 +76,10 @@ std::string attributes(const Column& column, Tone tone) {
   return fmt::format(" class=\"number{}{}\"", marked.empty() ? "" : " ", marked);
 }
 
+bool is_digit(char c) {
+  return c >= '0' && c <= '9';
+}
+
 }  // namespace
 
 std::string escaped(const std::string& text) {
@@ -100,6 +104,17 @@ std::string escaped(const std::string& text) {
       default:
         result += static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
     }
+  }
+  return result;
+}
+
+std::string typographic(const std::string& text) {
+  std::string result;
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    const bool exponent = i >= 2 && text[i - 1] == 'e' && is_digit(text[i - 2]);
+    const bool sign = text[i] == '-' && i + 1 < text.size() && is_digit(text[i + 1]) &&
+                      (i == 0 || text[i - 1] == ' ' || exponent);
+    result += sign ? "−" : std::string(1, text[i]);
   }
   return result;
 }

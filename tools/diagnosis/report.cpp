@@ -22,26 +22,11 @@ using report::Figure;
 using report::Page;
 using report::Table;
 using report::Tone;
+using report::typographic;
 
 constexpr std::size_t kMostManoeuvres = 6;
 /// Of a stage after the first, which only adds to what the first one showed.
 constexpr std::size_t kMostLaterRungs = 8;
-
-bool is_digit(char c) {
-  return c >= '0' && c <= '9';
-}
-
-/// Minus signs of numbers as such; hyphens stay.
-std::string typographic(const std::string& text) {
-  std::string result;
-  for (std::size_t i = 0; i < text.size(); ++i) {
-    const bool exponent = i >= 2 && text[i - 1] == 'e' && is_digit(text[i - 2]);
-    const bool sign = text[i] == '-' && i + 1 < text.size() && is_digit(text[i + 1]) &&
-                      (i == 0 || text[i - 1] == ' ' || exponent);
-    result += sign ? "−" : std::string(1, text[i]);
-  }
-  return result;
-}
 
 /// With a capital and a full stop.
 std::string sentence(std::string text) {

@@ -3,12 +3,12 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <ctime>
 #include <iterator>
 
 #include <fmt/format.h>
 
 #include "clampd/base/clock.hpp"
+#include "clampd/record/utc.hpp"
 #include "drivers/can/protocol.hpp"
 
 namespace clampd {
@@ -16,16 +16,6 @@ namespace {
 
 /// Whole turns of the 4-bit alive counter and one step: counter and sample clock still agree after it.
 constexpr std::int64_t kPause_ns = (6 * 16 + 1) * kPeriod_ns;
-
-/// 0 where it cannot be read.
-std::int64_t utc_ns(const std::string& rfc3339) {
-  std::tm calendar{};
-  const char* rest = strptime(rfc3339.c_str(), "%Y-%m-%dT%H:%M:%S", &calendar);
-  if (rest == nullptr) return 0;
-  const double fraction_s = *rest == '.' ? std::strtod(rest, nullptr) : 0.0;
-  return static_cast<std::int64_t>(::timegm(&calendar)) * kNanosecondsPerSecond +
-         std::llround(fraction_s * 1e9);
-}
 
 void append(std::string& log, std::int64_t stamp_ns, std::string_view interface, const can::Frame& frame) {
   const std::int64_t stamp_us = (stamp_ns + 500) / 1000;
@@ -50,7 +40,7 @@ Result<std::string> format_candump(const CheckRecord& record, const can::Protoco
   std::array<can::Frame, can::kMaximumFeedbackFrames> frames{};
   std::string log;
   std::int64_t offset_ns = kPause_ns;
-  const std::int64_t started_ns = utc_ns(record.started);
+  const std::int64_t started_ns = parse_utc(record.started).value_or(0);
   for (const RunRecord& recorded : record.runs) {
     if (!recorded.removed.empty())
       return failure(fmt::format("check {}: its raw runs were removed on {}, as [retention] says", record.id,

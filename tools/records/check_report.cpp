@@ -27,12 +27,9 @@ using report::Tone;
 
 constexpr std::size_t kHistoryRows = 20;
 
-/// With minus signs as such.
 std::string number(double value, int digits) {
   if (!std::isfinite(value)) return "–";
-  std::string text = fmt::format("{:.{}g}", value, digits);
-  for (std::size_t at = 0; (at = text.find('-', at)) != std::string::npos; at += 3) text.replace(at, 1, "−");
-  return text;
+  return report::typographic(fmt::format("{:.{}g}", value, digits));
 }
 
 Tone tone_of(Verdict verdict) {
@@ -377,7 +374,7 @@ Result<std::string> check_report(const CheckReportContents& contents) {
   }
   if (!check.parameters.empty()) {
     page.section("Parameters and limits");
-    if (check.verdict != Verdict::Pass && check.verdict != Verdict::Fail)
+    if (!is_about_the_brake(check.verdict))
       page.paragraph("The check was invalid: what follows says nothing about the brake.");
     if (const auto drawn = page.figure(
             limits_figure(check, contents.guard_band_k),

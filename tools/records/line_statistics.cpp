@@ -3,13 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <tuple>
+#include <unordered_map>
 
 namespace clampd {
 namespace {
-
-bool is_valid(const CheckRecord& check) {
-  return check.verdict == Verdict::Pass || check.verdict == Verdict::Fail;
-}
 
 void take(std::vector<ParameterStatistics>& parameters, const ParameterRecord& parameter) {
   if (!std::isfinite(parameter.value)) return;
@@ -39,16 +36,16 @@ LineStatistics line_statistics(std::vector<CheckRecord> checks, const std::strin
   if (checks.empty()) return statistics;
   statistics.first = checks.front().started;
   statistics.last = checks.back().started;
-  for (std::size_t i = 0; i < checks.size(); ++i) {
-    const CheckRecord& check = checks[i];
+  std::unordered_map<std::string, const CheckRecord*> counted;  // of each brake its last valid check
+  for (const CheckRecord& check : checks)
+    if (is_about_the_brake(check.verdict)) counted[check.serial] = &check;
+  for (const CheckRecord& check : checks) {
     statistics.passed += check.verdict == Verdict::Pass ? 1 : 0;
     statistics.failed += check.verdict == Verdict::Fail ? 1 : 0;
-    statistics.invalid += is_valid(check) ? 0 : 1;
+    statistics.invalid += is_about_the_brake(check.verdict) ? 0 : 1;
     statistics.simulated += check.simulated ? 1 : 0;
-    const bool superseded = std::any_of(
-        checks.begin() + static_cast<std::ptrdiff_t>(i) + 1, checks.end(),
-        [&](const CheckRecord& later) { return later.serial == check.serial && is_valid(later); });
-    if (!is_valid(check) || superseded) continue;
+    if (const auto last = counted.find(check.serial); last == counted.end() || last->second != &check)
+      continue;
     statistics.serials.push_back(check.serial);
     for (const ParameterRecord& parameter : check.parameters) take(statistics.parameters, parameter);
   }

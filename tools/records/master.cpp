@@ -1,12 +1,11 @@
 #include "tools/records/master.hpp"
 
 #include <algorithm>
-#include <ctime>
 #include <iterator>
 
 #include <fmt/format.h>
 
-#include "clampd/base/clock.hpp"
+#include "clampd/record/utc.hpp"
 #include "clampd/station/verdict.hpp"
 
 namespace clampd {
@@ -15,10 +14,8 @@ namespace {
 constexpr std::uint32_t kChecksMax = 50;
 constexpr std::size_t kChecksForDrift = 8;  ///< fewer tell too little about the scatter
 
-double hours_since(const std::string& rfc3339, std::int64_t now_utc_ns) {
-  std::tm calendar{};
-  if (strptime(rfc3339.c_str(), "%Y-%m-%dT%H:%M:%S", &calendar) == nullptr) return 0.0;
-  return (static_cast<double>(now_utc_ns) * 1e-9 - static_cast<double>(::timegm(&calendar))) / 3600.0;
+double hours_since(const std::string& started, std::int64_t now_utc_ns) {
+  return static_cast<double>(now_utc_ns - parse_utc(started).value_or(now_utc_ns)) * 1e-9 / 3600.0;
 }
 
 std::vector<std::string> drift_of(const std::vector<double>& values) {
@@ -57,7 +54,7 @@ MasterReport master_report(const MasterSettings& settings, const LimitSet& certi
   if (settings.serial.empty()) return report;
   std::vector<const CheckRecord*> checks;  // the oldest first
   for (auto check = newest_first.rbegin(); check != newest_first.rend(); ++check)
-    if (check->verdict == Verdict::Pass || check->verdict == Verdict::Fail) checks.push_back(&*check);
+    if (is_about_the_brake(check->verdict)) checks.push_back(&*check);
   if (checks.empty()) {
     report.state = MasterState::Due;
     report.text = fmt::format(

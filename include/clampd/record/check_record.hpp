@@ -16,6 +16,11 @@ std::string_view to_string(Verdict verdict) noexcept;  ///< "PASS", "FAIL", "ERR
 std::optional<Verdict> parse_verdict(
     std::string_view text) noexcept;  ///< the same back; nothing if it is none of them
 
+/// Whether it says something about the brake, and not about the station or the check.
+constexpr bool is_about_the_brake(Verdict verdict) noexcept {
+  return verdict == Verdict::Pass || verdict == Verdict::Fail;
+}
+
 enum class ParameterVerdict : std::uint8_t { Pass, Marginal, Fail };
 std::string_view to_string(ParameterVerdict verdict) noexcept;  ///< "pass", "marginal", "fail"
 

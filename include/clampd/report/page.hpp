@@ -32,6 +32,9 @@ struct Table {
   std::vector<std::vector<Cell>> rows = {};  ///< each as long as `columns`; the first cell names the row
 };
 
+/// Minus signs of numbers as such; hyphens stay.
+std::string typographic(const std::string& text);
+
 /// A report as one HTML file that needs nothing else: no network, no script, figures inline, light and dark,
 /// fit for printing. All text is plain (UTF-8) and gets escaped here.
 class Page {
