@@ -2,13 +2,14 @@
 
 #include <unistd.h>
 
-#include <chrono>
 #include <fstream>
 #include <stdexcept>
-#include <thread>
 #include <vector>
 
 #include <openssl/evp.h>
+
+#include "support/eventually.hpp"
+#include "support/network.hpp"
 
 #include <httplib.h>
 
@@ -19,8 +20,6 @@ namespace {
 constexpr const char* kDriver = "/usr/bin/chromedriver";
 constexpr const char* kChromium = "/usr/bin/chromium";
 
-using Clock = std::chrono::steady_clock;
-
 }  // namespace
 
 bool Browser::is_installed() {
@@ -28,14 +27,11 @@ bool Browser::is_installed() {
 }
 
 Browser::Browser(int width, int height)
-    : port_(free_port()),
+    : port_(support::free_port()),
       driver_({kDriver, "--port=" + std::to_string(port_)}, folder_.path("driver.log"),
               {"HOME=" + folder_.path("")}) {
-  const auto until = Clock::now() + std::chrono::seconds(30);
-  while (!httplib::Client("127.0.0.1", port_).Get("/status")) {
-    if (Clock::now() > until) throw std::runtime_error("chromedriver does not answer");
-    std::this_thread::sleep_for(std::chrono::milliseconds(50));
-  }
+  if (!support::eventually([&] { return bool(httplib::Client("127.0.0.1", port_).Get("/status")); }))
+    throw std::runtime_error("chromedriver does not answer");
   const std::string size = "--window-size=" + std::to_string(width) + "," + std::to_string(height);
   const nlohmann::json options{
       {"binary", kChromium},
@@ -100,12 +96,8 @@ std::string Browser::text(const std::string& selector) {
 }
 
 bool Browser::becomes(const std::string& expression, int seconds) {
-  const auto until = Clock::now() + std::chrono::seconds(seconds);
-  while (value("Boolean(" + expression + ")") != true) {
-    if (Clock::now() > until) return false;
-    std::this_thread::sleep_for(std::chrono::milliseconds(20));
-  }
-  return true;
+  return support::eventually([&] { return value("Boolean(" + expression + ")") == true; },
+                             std::chrono::seconds(seconds));
 }
 
 void Browser::prefer_dark(bool dark) {

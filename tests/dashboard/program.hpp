@@ -28,7 +28,4 @@ class Program {
   int exit_code_ = 0;
 };
 
-/// A TCP port of the loopback interface that nobody has now.
-int free_port();
-
 }  // namespace clampd::screen

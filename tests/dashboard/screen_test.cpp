@@ -3,11 +3,9 @@
 
 #include <signal.h>
 
-#include <chrono>
 #include <filesystem>
 #include <optional>
 #include <string>
-#include <thread>
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -15,6 +13,8 @@
 
 #include "dashboard/browser.hpp"
 #include "dashboard/program.hpp"
+#include "support/eventually.hpp"
+#include "support/network.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd::screen {
@@ -41,7 +41,7 @@ class Screen : public ::testing::Test {
 
   /// The daemon with this simulated brake, and the browser in front of it.
   void start(const std::string& brake, int repeats, bool with_token = true) {
-    port_ = free_port();
+    port_ = support::free_port();
     folder_.write("station.toml",
                   fmt::format("[station]\nname = \"bench-1\"\n[check]\nrepeats = {}\n[control]\nport = {}\n"
                               "token_file = \"token\"\n",
@@ -54,11 +54,9 @@ class Screen : public ::testing::Test {
     browser_.emplace(1440, 900);
     browser_->open("about:blank");
     const std::string address = fmt::format("http://127.0.0.1:{}/", port_);
-    const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(30);
-    while (folder_.read("daemon.log").find("station is IDLE") == std::string::npos) {
-      ASSERT_LT(std::chrono::steady_clock::now(), until) << folder_.read("daemon.log");
-      std::this_thread::sleep_for(std::chrono::milliseconds(20));
-    }
+    ASSERT_TRUE(support::eventually([&] {
+      return folder_.read("daemon.log").find("station is IDLE") != std::string::npos;
+    })) << folder_.read("daemon.log");
     std::string token = folder_.read("token");
     browser_->open(with_token ? address + "#token=" + token.substr(0, token.size() - 1) : address);
   }

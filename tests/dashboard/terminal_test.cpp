@@ -3,13 +3,11 @@
 
 #include <signal.h>
 
-#include <chrono>
 #include <filesystem>
 #include <optional>
 #include <set>
 #include <sstream>
 #include <string>
-#include <thread>
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -17,6 +15,8 @@
 #include <nlohmann/json.hpp>
 
 #include "dashboard/program.hpp"
+#include "support/eventually.hpp"
+#include "support/network.hpp"
 #include "support/temporary_directory.hpp"
 
 #include <httplib.h>
@@ -40,18 +40,9 @@ class Terminal : public ::testing::Test {
         folder_.path("daemon.log"),
         std::vector<std::string>{"STATE_DIRECTORY=" + folder_.path("state"), "HOME=" + folder_.path("home"),
                                  "TMPDIR=" + folder_.path("home")});
-    ASSERT_TRUE(becomes([&] {
+    ASSERT_TRUE(support::eventually([&] {
       return folder_.read("daemon.log").find("station is IDLE") != std::string::npos;
     })) << folder_.read("daemon.log");
-  }
-
-  static bool becomes(const std::function<bool()>& condition) {
-    const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(60);
-    while (!condition()) {
-      if (std::chrono::steady_clock::now() > until) return false;
-      std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    }
-    return true;
   }
 
   nlohmann::json status() const {
@@ -65,13 +56,13 @@ class Terminal : public ::testing::Test {
   }
 
   support::TemporaryDirectory folder_;
-  int port_ = free_port();
+  int port_ = support::free_port();
   std::optional<Program> daemon_;
 };
 
 TEST_F(Terminal, CtrlCStopsTheBrakeFirst) {
   const auto run = clampctl({"run", "--serial", "S-1"}, "run.log");
-  ASSERT_TRUE(becomes([&] { return status().at("phase") == "trajectory"; }));
+  ASSERT_TRUE(support::eventually([&] { return status().at("phase") == "trajectory"; }));
   run->send(SIGINT);
   EXPECT_EQ(run->wait(), 4) << folder_.read("run.log");
   // When the command ends, the brake has long stopped.
@@ -85,10 +76,11 @@ TEST_F(Terminal, CtrlCStopsTheBrakeFirst) {
 TEST_F(Terminal, WatchWritesALineForEachChangeAndEndsWithCtrlC) {
   const auto lines = clampctl({"watch"}, "watch.log");
   const auto documents = clampctl({"watch", "--json"}, "watch.json");
-  ASSERT_TRUE(becomes([&] { return folder_.read("watch.log").find("IDLE") != std::string::npos; }));
+  ASSERT_TRUE(
+      support::eventually([&] { return folder_.read("watch.log").find("IDLE") != std::string::npos; }));
   const auto run = clampctl({"run", "--serial", "S-2", "--repeats", "2"}, "run.log");
   EXPECT_EQ(run->wait(), 0) << folder_.read("run.log");
-  ASSERT_TRUE(becomes([&] {
+  ASSERT_TRUE(support::eventually([&] {
     return folder_.read("watch.log").find("S-2: PASS") != std::string::npos &&
            folder_.read("watch.json").find("PASS") != std::string::npos;
   }));
@@ -106,7 +98,8 @@ TEST_F(Terminal, WatchWritesALineForEachChangeAndEndsWithCtrlC) {
 
 TEST_F(Terminal, WatchSaysThatTheDaemonWentAway) {
   const auto lines = clampctl({"watch"}, "watch.log");
-  ASSERT_TRUE(becomes([&] { return folder_.read("watch.log").find("IDLE") != std::string::npos; }));
+  ASSERT_TRUE(
+      support::eventually([&] { return folder_.read("watch.log").find("IDLE") != std::string::npos; }));
   daemon_->end();
   EXPECT_EQ(lines->wait(), 3);
   EXPECT_THAT(folder_.read("watch.log"), HasSubstr("no daemon answers"));

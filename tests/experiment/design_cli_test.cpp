@@ -1,7 +1,4 @@
-#include <sys/wait.h>
-
 #include <cmath>
-#include <cstdio>
 #include <string>
 #include <utility>
 #include <vector>
@@ -14,28 +11,17 @@
 #include "clampd/brake/simulation.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
+#include "support/command.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd {
 namespace {
 
+using support::Outcome;
 using ::testing::HasSubstr;
 
-struct Outcome {
-  int exit_code = -1;
-  std::string text;  ///< both streams
-};
-
 Outcome design(const std::string& arguments) {
-  Outcome outcome;
-  FILE* const pipe = popen(fmt::format("\"{}\" design {} 2>&1", CLAMPCTL, arguments).c_str(), "r");
-  if (pipe == nullptr) return outcome;
-  char buffer[4096];
-  for (std::size_t count = 0; (count = fread(buffer, 1, sizeof buffer, pipe)) > 0;)
-    outcome.text.append(buffer, count);
-  const int status = pclose(pipe);
-  if (WIFEXITED(status)) outcome.exit_code = WEXITSTATUS(status);
-  return outcome;
+  return support::run_command(fmt::format("\"{}\" design {}", CLAMPCTL, arguments));
 }
 
 class DesignCommand : public ::testing::Test {
@@ -51,9 +37,9 @@ TEST_F(DesignCommand, WritesADesignAndTheResponseToIt) {
   const Outcome outcome =
       design(fmt::format("--duration 0.1 --starts 8 --force-limit 8000 --json {} --out {}",
                          file("design.json"), file("trajectory.csv")));
-  ASSERT_EQ(outcome.exit_code, 0) << outcome.text;
-  EXPECT_THAT(outcome.text, HasSubstr("-log det M"));
-  EXPECT_THAT(outcome.text, ::testing::Not(HasSubstr("\r")));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("-log det M"));
+  EXPECT_THAT(outcome.output, ::testing::Not(HasSubstr("\r")));
 
   const nlohmann::json document = nlohmann::json::parse(*read_file(file("design.json")));
   EXPECT_EQ(document["schema"], "clampd.design/1");
@@ -109,8 +95,8 @@ TEST_F(DesignCommand, BadInputIsRefusedBeforeAnythingIsDone) {
   };
   for (const auto& [arguments, hint] : cases) {
     const Outcome outcome = design(arguments);
-    EXPECT_EQ(outcome.exit_code, 2) << arguments << "\n" << outcome.text;
-    EXPECT_THAT(outcome.text, HasSubstr(hint)) << arguments;
+    EXPECT_EQ(outcome.exit_code, 2) << arguments << "\n" << outcome.output;
+    EXPECT_THAT(outcome.output, HasSubstr(hint)) << arguments;
   }
   EXPECT_TRUE(nothing_written());
 }
@@ -120,7 +106,7 @@ TEST_F(DesignCommand, WritesNothingWhereThereIsNoDesign) {
       design(fmt::format("--duration 0.1 --starts 4 --torque-limit 0.04 --json {} --out {}",
                          file("design.json"), file("trajectory.csv")));
   EXPECT_EQ(outcome.exit_code, 2);
-  EXPECT_THAT(outcome.text, HasSubstr("no design"));
+  EXPECT_THAT(outcome.output, HasSubstr("no design"));
   EXPECT_TRUE(nothing_written());
 }
 

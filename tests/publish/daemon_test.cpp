@@ -6,6 +6,7 @@
 
 #include "publish/servers.hpp"
 #include "publish/subscriber.hpp"
+#include "support/command.hpp"
 
 namespace clampd {
 namespace {
@@ -49,13 +50,7 @@ user = "line"
     ASSERT_TRUE(eventually([&] { return !channel("mqtt").is_null(); })) << folder.read("log");
   }
   std::string clampctl(const std::string& arguments) const {
-    std::string output;
-    FILE* pipe =
-        ::popen(fmt::format("{} --config {} {} 2>&1", CLAMPCTL, configuration, arguments).c_str(), "r");
-    char buffer[4096];
-    while (const std::size_t size = std::fread(buffer, 1, sizeof buffer, pipe)) output.append(buffer, size);
-    ::pclose(pipe);
-    return output;
+    return support::run_command(fmt::format("{} --config {} {}", CLAMPCTL, configuration, arguments)).output;
   }
   /// What the station's status says of a channel; null while there is no daemon.
   nlohmann::json channel(const std::string& name) const {

@@ -2,21 +2,14 @@
 
 #include <sys/types.h>
 
-#include <chrono>
-#include <functional>
 #include <string>
 #include <vector>
 
+#include "support/eventually.hpp"
+#include "support/network.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd::support {
-
-/// Waits until the condition holds; false if it did not within a generous time.
-bool eventually(const std::function<bool()>& condition,
-                std::chrono::seconds longest = std::chrono::seconds(60));
-
-/// A TCP port of the loopback interface that nothing used a moment ago.
-int free_port();
 
 /// A program of its own, as an unprivileged user where the test is root; killed with its test at the latest.
 class ServerProcess {

@@ -1,16 +1,17 @@
 // A station whose checks are made up: saves as many as it is told, publishing all the while. It writes a line
 // to standard output for every check that is saved, and then, unless it was told to stay, ends once all is
 // published.
+#include <algorithm>
 #include <cstdio>
 #include <memory>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include <CLI/CLI.hpp>
 
 #include "clampd/publish/publisher.hpp"
 #include "support/check_records.hpp"
+#include "support/eventually.hpp"
 
 int main(int argc, char** argv) {
   using namespace clampd;
@@ -64,7 +65,12 @@ int main(int argc, char** argv) {
     std::fflush(stdout);
     for (const auto& publisher : publishers) publisher->notify();
   }
-  for (const std::string& channel : channels)
-    while (store->outbox(channel).value_or(OutboxState{1, ""}).pending > 0) std::this_thread::sleep_for(5ms);
-  return 0;
+  const bool published = std::all_of(channels.begin(), channels.end(), [&](const std::string& channel) {
+    return support::eventually(
+        [&] {
+          return store->outbox(channel).value_or(OutboxState{1, ""}).pending == 0;
+        },
+        600s);
+  });
+  return published ? 0 : 1;
 }

@@ -1,8 +1,5 @@
 // The records' commands as a user runs them: exit codes, files, messages.
 
-#include <sys/wait.h>
-
-#include <cstdio>
 #include <filesystem>
 #include <string>
 
@@ -11,32 +8,22 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/report/figure.hpp"
+#include "support/command.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd {
 namespace {
 
+using support::Outcome;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::Not;
 
 class RecordsCommands : public ::testing::Test {
  protected:
-  struct Outcome {
-    int exit_code = -1;
-    std::string output;
-  };
   Outcome clampctl(const std::string& arguments) {
-    const std::string line = "cd '" + folder_.path("") + "' && STATE_DIRECTORY='" + folder_.path("state") +
-                             "' " CLAMPCTL " " + arguments + " 2>&1";
-    FILE* pipe = popen(line.c_str(), "r");
-    Outcome outcome;
-    char buffer[4096];
-    while (const std::size_t count = fread(buffer, 1, sizeof buffer, pipe))
-      outcome.output.append(buffer, count);
-    const int status = pclose(pipe);
-    outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
-    return outcome;
+    return support::run_command("cd '" + folder_.path("") + "' && STATE_DIRECTORY='" + folder_.path("state") +
+                                "' " CLAMPCTL " " + arguments);
   }
   void check(const std::string& options, int exit_code = 0) {
     const Outcome outcome = clampctl("run --repeats 2 " + options);

@@ -1,9 +1,6 @@
 // What a user sees of the programs: exit codes, messages, and that nothing half-written stays behind.
 
-#include <sys/wait.h>
-
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -13,36 +10,25 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include "support/command.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd {
 namespace {
 
+using support::Outcome;
 using ::testing::AllOf;
 using ::testing::AnyOf;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Not;
 
-struct Outcome {
-  int exit_code = -1;
-  std::string output;  ///< stdout and stderr, as in a terminal
-};
-
 class CommandLine : public ::testing::Test {
  protected:
   /// Runs in the test's folder, which is also where results go.
   Outcome run(const std::string& command) {
-    const std::string line = "cd '" + folder_.path("") + "' && STATE_DIRECTORY='" + folder_.path("state") +
-                             "' " + command + " 2>&1";
-    FILE* pipe = popen(line.c_str(), "r");
-    Outcome outcome;
-    char buffer[4096];
-    while (const std::size_t count = fread(buffer, 1, sizeof buffer, pipe))
-      outcome.output.append(buffer, count);
-    const int status = pclose(pipe);
-    outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
-    return outcome;
+    return support::run_command("cd '" + folder_.path("") + "' && STATE_DIRECTORY='" + folder_.path("state") +
+                                "' " + command);
   }
   Outcome clampctl(const std::string& arguments) { return run(std::string(CLAMPCTL) + " " + arguments); }
 

@@ -1,8 +1,5 @@
 // `clampctl diagnose` as a user and a script see it.
 
-#include <sys/wait.h>
-
-#include <cstdio>
 #include <filesystem>
 #include <string>
 
@@ -11,35 +8,23 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include "support/command.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd {
 namespace {
 
+using support::Outcome;
 using ::testing::HasSubstr;
 using ::testing::Not;
 using ::testing::StartsWith;
-
-struct Outcome {
-  int exit_code = -1;
-  std::string output;  ///< stdout and stderr
-};
 
 class DiagnoseCommand : public ::testing::Test {
  protected:
   /// In the test's folder, which is also where results go.
   Outcome clampctl(const std::string& arguments, const std::string& environment = "") {
-    const std::string line =
-        fmt::format("cd '{}' && {} '{}' {} 2>&1", folder_.path(""), environment, CLAMPCTL, arguments);
-    Outcome outcome;
-    FILE* const pipe = popen(line.c_str(), "r");
-    if (pipe == nullptr) return outcome;
-    char buffer[4096];
-    for (std::size_t count = 0; (count = fread(buffer, 1, sizeof buffer, pipe)) > 0;)
-      outcome.output.append(buffer, count);
-    const int status = pclose(pipe);
-    if (WIFEXITED(status)) outcome.exit_code = WEXITSTATUS(status);
-    return outcome;
+    return support::run_command(
+        fmt::format("cd '{}' && {} '{}' {}", folder_.path(""), environment, CLAMPCTL, arguments));
   }
   bool exists(const std::string& name) { return std::filesystem::exists(folder_.path(name)); }
 

@@ -1,6 +1,3 @@
-#include <sys/wait.h>
-
-#include <cstdio>
 #include <regex>
 #include <string>
 
@@ -9,32 +6,20 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include "support/command.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd {
 namespace {
 
+using support::Outcome;
 using ::testing::AnyOf;
 using ::testing::HasSubstr;
 using ::testing::Not;
 using ::testing::SizeIs;
 
-struct Outcome {
-  int exit_code = -1;
-  std::string text;  ///< both streams
-};
-
 Outcome reproduce(const std::string& arguments, const std::string& environment = "") {
-  Outcome outcome;
-  FILE* const pipe =
-      popen(fmt::format("{} \"{}\" reproduce {} 2>&1", environment, CLAMPCTL, arguments).c_str(), "r");
-  if (pipe == nullptr) return outcome;
-  char buffer[4096];
-  for (std::size_t count = 0; (count = fread(buffer, 1, sizeof buffer, pipe)) > 0;)
-    outcome.text.append(buffer, count);
-  const int status = pclose(pipe);
-  if (WIFEXITED(status)) outcome.exit_code = WEXITSTATUS(status);
-  return outcome;
+  return support::run_command(fmt::format("{} \"{}\" reproduce {}", environment, CLAMPCTL, arguments));
 }
 
 std::size_t count(const std::string& text, const std::string& what) {
@@ -47,9 +32,9 @@ TEST(ReproduceCommand, ATinyStudyHoldsEveryFigureAndTheTable) {
   const support::TemporaryDirectory folder;
   const Outcome outcome = reproduce(fmt::format("--repeats 4 --starts 16 --out {} --json {}",
                                                 folder.path("report.html"), folder.path("figures.json")));
-  ASSERT_EQ(outcome.exit_code, 0) << outcome.text;
-  EXPECT_THAT(outcome.text, HasSubstr("report.html"));
-  EXPECT_THAT(outcome.text, Not(HasSubstr("\r")));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("report.html"));
+  EXPECT_THAT(outcome.output, Not(HasSubstr("\r")));
 
   const std::string html = folder.read("report.html");
   for (const char* section :
@@ -88,17 +73,17 @@ TEST(ReproduceCommand, SaysWhatToInstallBeforeItComputes) {
   const support::TemporaryDirectory folder;
   const Outcome outcome = reproduce("--out " + folder.path("report.html"), "PATH=/nonexistent");
   EXPECT_EQ(outcome.exit_code, 2);
-  EXPECT_THAT(outcome.text, HasSubstr("gnuplot-nox"));
+  EXPECT_THAT(outcome.output, HasSubstr("gnuplot-nox"));
   EXPECT_EQ(folder.entries(), 0U);
 }
 
 TEST(ReproduceCommand, RefusesWhatItCannotDo) {
   const support::TemporaryDirectory folder;
-  EXPECT_THAT(reproduce("--repeats 2 --out " + folder.path("a.html")).text, HasSubstr("repeats"));
-  EXPECT_THAT(reproduce("--starts 0 --out " + folder.path("a.html")).text, HasSubstr("starts"));
-  EXPECT_THAT(reproduce("--out /nowhere/at/all.html").text, HasSubstr("/nowhere"));
-  EXPECT_THAT(reproduce("--out " + folder.path("")).text, HasSubstr("folder"));
-  EXPECT_THAT(reproduce(fmt::format("--out {0} --json {0}", folder.path("a.html"))).text,
+  EXPECT_THAT(reproduce("--repeats 2 --out " + folder.path("a.html")).output, HasSubstr("repeats"));
+  EXPECT_THAT(reproduce("--starts 0 --out " + folder.path("a.html")).output, HasSubstr("starts"));
+  EXPECT_THAT(reproduce("--out /nowhere/at/all.html").output, HasSubstr("/nowhere"));
+  EXPECT_THAT(reproduce("--out " + folder.path("")).output, HasSubstr("folder"));
+  EXPECT_THAT(reproduce(fmt::format("--out {0} --json {0}", folder.path("a.html"))).output,
               HasSubstr("same file"));
   EXPECT_EQ(folder.entries(), 0U);
 }

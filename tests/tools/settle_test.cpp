@@ -2,9 +2,6 @@
 
 #include "tools/diagnosis/settle.hpp"
 
-#include <sys/wait.h>
-
-#include <cstdio>
 #include <string>
 #include <vector>
 
@@ -15,12 +12,14 @@
 #include "clampd/experiment/reference.hpp"
 #include "clampd/experiment/robust_design.hpp"
 #include "clampd/identify/extended_fit.hpp"
+#include "support/command.hpp"
 #include "support/temporary_directory.hpp"
 #include "tools/simulation/simulate.hpp"
 
 namespace clampd {
 namespace {
 
+using support::Outcome;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::Not;
@@ -129,25 +128,12 @@ TEST(Settle, WithoutRivalsThereIsNothingToDo) {
   EXPECT_FALSE(next_experiment_for(diagnosis, {}));
 }
 
-struct Outcome {
-  int exit_code = -1;
-  std::string output;
-};
-
 class RunSettle : public ::testing::Test {
  protected:
   Outcome run(const std::string& plant, const std::string& arguments) {
     folder_.write("plant.toml", plant);
-    const std::string line = "cd '" + folder_.path("") + "' && STATE_DIRECTORY='" + folder_.path("state") +
-                             "' " + CLAMPCTL + " run --serial S-1 --settle " + arguments + " 2>&1";
-    FILE* pipe = popen(line.c_str(), "r");
-    Outcome outcome;
-    char buffer[4096];
-    while (const std::size_t count = fread(buffer, 1, sizeof buffer, pipe))
-      outcome.output.append(buffer, count);
-    const int status = pclose(pipe);
-    outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
-    return outcome;
+    return support::run_command("cd '" + folder_.path("") + "' && STATE_DIRECTORY='" + folder_.path("state") +
+                                "' " + CLAMPCTL + " run --serial S-1 --settle " + arguments);
   }
   nlohmann::json document() { return nlohmann::json::parse(folder_.read("check.json")); }
 
