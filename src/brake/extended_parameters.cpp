@@ -25,10 +25,11 @@ Result<EffectValues> read_effect(const std::string& path, const toml::table& tab
   }
   const EffectInfo& info = info_of(*effect);
   for (const auto& [key, node] : table) {
-    const bool known = key.str() == "name" || std::any_of(info.parameters.begin(), info.parameters.end(),
-                                                          [&](const auto& p) { return p.name == key.str(); });
+    const std::string_view found = key.str();
+    const bool known = found == "name" || std::any_of(info.parameters.begin(), info.parameters.end(),
+                                                      [&](const auto& p) { return p.name == found; });
     if (!known)
-      return failure(fmt::format("{}: effect {} has no parameter \"{}\"", at(path, node), *name, key.str()));
+      return failure(fmt::format("{}: effect {} has no parameter \"{}\"", at(path, node), *name, found));
   }
   EffectValues values{effect, {}};
   for (const EffectParameter& parameter : info.parameters) {

@@ -1,0 +1,109 @@
+// Whatever may be sent to the control API: bytes of a connection, in front of the real server and the real
+// daemon, whose loop stands still, so that no check can begin.
+
+#include <arpa/inet.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include <spdlog/spdlog.h>
+
+#include "clampd/archive/store.hpp"
+#include "clampd/base/assert.hpp"
+#include "support/check_records.hpp"
+#include "support/temporary_directory.hpp"
+#include "tools/clampd/control_server.hpp"
+#include "tools/clampd/daemon.hpp"
+
+namespace {
+
+using namespace clampd;
+
+/// The token of every input: what needs one is not to be missed.
+constexpr std::string_view kToken = "0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef";
+
+/// A station with two checks on record.
+class Station {
+ public:
+  Station() {
+    spdlog::set_level(spdlog::level::off);
+    StationConfiguration configuration;
+    configuration.can.interface = "simulated";
+    configuration.database = folder_.path("checks.sqlite");
+    configuration.control.token_file = folder_.write("token", std::string(kToken) + "\n");
+    ::chmod(configuration.control.token_file.c_str(), 0600);
+    auto prepared = assembly::prepare_station(configuration);
+    auto plant = assembly::load_plant("");
+    auto store = CheckStore::open(configuration.database);
+    CLAMPD_ASSERT(prepared && plant && store);
+    station_ = std::make_unique<assembly::PreparedStation>(std::move(*prepared));
+    store_ = std::make_unique<CheckStore>(std::move(*store));
+    for (const char* id : {"20261120T234107123Z-9f3a61c2", "20261121T080000000Z-00000001"})
+      CLAMPD_ASSERT(store_->save(support::make_check_record(id)));
+    bench_ = std::make_unique<assembly::SimulatedBench>(*station_, *plant);
+    daemon_ = std::make_unique<daemon::Daemon>(*station_, *bench_, *store_);
+    auto server = daemon::ControlServer::start(*daemon_, "127.0.0.1", 0, configuration.control.token_file);
+    CLAMPD_ASSERT(server);
+    server_ = std::move(*server);
+  }
+
+  /// What comes back for these bytes, after which the sender has nothing more to say.
+  std::string answer(const std::uint8_t* data, std::size_t size) const {
+    const int socket = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(static_cast<std::uint16_t>(server_->port()));
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    CLAMPD_ASSERT(::connect(socket, reinterpret_cast<sockaddr*>(&address), sizeof address) == 0);
+    for (std::size_t sent = 0; sent < size;) {
+      const ssize_t count = ::send(socket, data + sent, size - sent, MSG_NOSIGNAL);
+      if (count <= 0) break;
+      sent += static_cast<std::size_t>(count);
+    }
+    ::shutdown(socket, SHUT_WR);
+    std::string received;
+    std::array<char, 4096> buffer;
+    for (ssize_t count = 0; (count = ::recv(socket, buffer.data(), buffer.size(), 0)) > 0;)
+      received.append(buffer.data(), static_cast<std::size_t>(count));
+    ::close(socket);
+    return received;
+  }
+
+  std::size_t files() const { return folder_.entries(); }
+
+ private:
+  support::TemporaryDirectory folder_;
+  std::unique_ptr<assembly::PreparedStation> station_;
+  std::unique_ptr<CheckStore> store_;
+  std::unique_ptr<assembly::SimulatedBench> bench_;
+  std::unique_ptr<daemon::Daemon> daemon_;
+  std::unique_ptr<daemon::ControlServer> server_;
+};
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  static const Station station;
+  static const std::size_t files = station.files();
+  const std::string answer = station.answer(data, size);
+  if (!answer.empty()) {
+    CLAMPD_ASSERT(answer.starts_with("HTTP/1.1 "));
+    CLAMPD_ASSERT(!answer.starts_with("HTTP/1.1 500"));
+    CLAMPD_ASSERT(answer.find(kToken) == std::string::npos || size >= kToken.size());
+  }
+  CLAMPD_ASSERT(station.files() <= files + 2);  // SQLite's journal comes and goes
+  constexpr std::string_view kStatus = "GET /v1/status HTTP/1.1\r\nHost: localhost\r\n\r\n";
+  static unsigned count = 0;
+  if (count++ % 64 == 0)
+    CLAMPD_ASSERT(station.answer(reinterpret_cast<const std::uint8_t*>(kStatus.data()), kStatus.size())
+                      .starts_with("HTTP/1.1 200"));
+  return 0;
+}
