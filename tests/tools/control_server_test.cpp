@@ -337,5 +337,27 @@ TEST(ControlClient, SaysThatNoDaemonAnswers) {
   EXPECT_THAT(client.status().error().message, HasSubstr("no daemon answers"));
 }
 
+/// As systemd's: the socket is another's too, and has to outlive each server that it is lent to.
+TEST(InheritedControlSocket, ServesAgainAfterARestart) {
+  const int shared = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t length = sizeof address;
+  ASSERT_EQ(bind(shared, reinterpret_cast<sockaddr*>(&address), length), 0);
+  ASSERT_EQ(listen(shared, 8), 0);
+  ASSERT_EQ(getsockname(shared, reinterpret_cast<sockaddr*>(&address), &length), 0);
+  const int port = ntohs(address.sin_port);
+  ToyStation station;
+  for (int start = 0; start < 3; ++start) {
+    const auto server = ControlServer::start(station, "127.0.0.1", port, "", dup(shared));
+    ASSERT_TRUE(server) << server.error().message;
+    const auto status = control::Client("127.0.0.1", port, "").status();
+    ASSERT_TRUE(status) << status.error().message;
+    EXPECT_EQ(status->state, "IDLE");
+  }
+  close(shared);
+}
+
 }  // namespace
 }  // namespace clampd::daemon

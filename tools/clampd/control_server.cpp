@@ -1,14 +1,20 @@
 #include "tools/clampd/control_server.hpp"
 
 #include <arpa/inet.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <cerrno>
 #include <charconv>
 #include <chrono>
+#include <cstring>
 #include <limits>
 #include <optional>
 #include <random>
@@ -152,7 +158,44 @@ struct ControlServer::Http final : public httplib::Server {
     return HandlerResponse::Handled;
   }
 
+  /// The socket that was bound, or the one that is given. False: see errno.
+  bool take_socket(int inherited) {
+    listening_ = inherited >= 0 ? inherited : svr_sock_.exchange(INVALID_SOCKET);
+    wake_ = eventfd(0, EFD_CLOEXEC);
+    const int flags = fcntl(listening_, F_GETFL);
+    return wake_ >= 0 && flags >= 0 && fcntl(listening_, F_SETFL, flags | O_NONBLOCK) == 0;
+  }
+
+  /// The library's own loop ends by shutting its socket down, also for whoever shares it.
+  void serve() {
+    const std::unique_ptr<httplib::TaskQueue> workers(new_task_queue());
+    while (!stopping) {
+      std::array waiting{pollfd{listening_, POLLIN, 0}, pollfd{wake_, POLLIN, 0}};
+      poll(waiting.data(), waiting.size(), -1);
+      if (waiting[0].revents == 0) continue;
+      const int socket = accept4(listening_, nullptr, nullptr, SOCK_CLOEXEC);
+      if (socket >= 0)
+        workers->enqueue([this, socket] { process_and_close_socket(socket); });
+      else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM)
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));  // until others have closed some
+    }
+    workers->shutdown();
+  }
+
+  void end() {
+    stopping = true;
+    eventfd_write(wake_, 1);
+  }
+
+  ~Http() override {
+    for (const int file : {listening_, wake_})
+      if (file >= 0) ::close(file);
+  }
+
  private:
+  int listening_ = -1;
+  int wake_ = -1;
+
   /// The library's own lets a connection wait for ever with a byte now and then; here it carries one request.
   bool process_and_close_socket(socket_t socket) override {
     RequestStream stream(socket, kLongestRequest, kLargestRequest, stopping);
@@ -202,7 +245,8 @@ httplib::Headers default_headers() {
 ControlServer::ControlServer() : http_(std::make_unique<Http>()) {}
 
 Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& target, const std::string& address,
-                                                            int port, const std::string& token_file) {
+                                                            int port, const std::string& token_file,
+                                                            int inherited) {
   std::unique_ptr<ControlServer> control(new ControlServer());
   Http& http = *control->http_;
   httplib::Server& server = http;
@@ -306,21 +350,24 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& targe
     if (row) answer(response, 200, target.live(*run, *row));
   });
 
-  control->port_ =
-      port == 0 ? server.bind_to_any_port(address) : (server.bind_to_port(address, port) ? port : -1);
+  if (inherited >= 0)
+    control->port_ = port;
+  else
+    control->port_ =
+        port == 0 ? server.bind_to_any_port(address) : (server.bind_to_port(address, port) ? port : -1);
   if (control->port_ < 0)
     return failure(
         fmt::format("cannot listen on {}:{}: the address is not this machine's or another program (another "
                     "clampd?) has the port; change [control] in the configuration",
                     address, port));
-  control->thread_ = std::thread([&server] { server.listen_after_bind(); });
-  while (!server.is_running()) std::this_thread::yield();
+  if (!http.take_socket(inherited))
+    return failure(fmt::format("control API: cannot serve: {}", std::strerror(errno)));
+  control->thread_ = std::thread([&http] { http.serve(); });
   return control;
 }
 
 ControlServer::~ControlServer() {
-  http_->stopping = true;
-  http_->stop();
+  http_->end();
   if (thread_.joinable()) thread_.join();
 }
 

@@ -32,11 +32,13 @@ class ControlTarget {
 /// The control API of tools/control/messages.hpp over HTTP, and the screen.
 class ControlServer {
  public:
-  /// Binds and starts to serve. An empty token file: no token is asked for; one with a token in it, that is
-  /// ours and not readable by everybody, is used again, so that a restart locks no screen out. Errors: the
-  /// address is taken or not ours, the token file cannot be written.
+  /// Binds and starts to serve; or serves on `inherited`, a listening socket that is there already and stays
+  /// usable for the next one who inherits it. An empty token file: no token is asked for; one with a token in
+  /// it, that is ours and not readable by everybody, is used again, so that a restart locks no screen out.
+  /// Errors: the address is taken or not ours, the token file cannot be written.
   static Result<std::unique_ptr<ControlServer>> start(ControlTarget& target, const std::string& address,
-                                                      int port, const std::string& token_file);
+                                                      int port, const std::string& token_file,
+                                                      int inherited = -1);
   ~ControlServer();
   ControlServer(const ControlServer&) = delete;
   ControlServer& operator=(const ControlServer&) = delete;

@@ -68,9 +68,10 @@ Result<void> Daemon::start() {
   return simulated_loop_ ? loop_.start(settings, *simulated_loop_) : loop_.start(settings, core_);
 }
 
-void Daemon::serve(const std::atomic<bool>& quit) {
+void Daemon::serve(const std::atomic<bool>& quit, const std::function<void()>& each_round) {
   while (!quit) {
     pump();
+    each_round();
     std::this_thread::sleep_for(5ms);
   }
   // The loop's last act zeroes the torque and ends a check; its record is saved before the daemon goes.
@@ -79,7 +80,16 @@ void Daemon::serve(const std::atomic<bool>& quit) {
   while (conductor_.concluding()) {
     std::this_thread::sleep_for(5ms);
     pump();
+    each_round();
   }
+}
+
+std::string Daemon::headline() const {
+  const StationState state = core_.status().state.load();
+  const std::string& interface = station_.configuration.can.interface;
+  if (state != StationState::Fault) return fmt::format("{} on {}", to_string(state), interface);
+  const FaultCause fault = core_.status().fault.load();
+  return fmt::format("FAULT {} on {}: {}", to_string(fault), interface, rt::fault_rule(fault).advice);
 }
 
 void Daemon::pump() {

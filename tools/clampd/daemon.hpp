@@ -1,6 +1,7 @@
 #pragma once
 
 #include <atomic>
+#include <functional>
 #include <mutex>
 #include <optional>
 #include <string>
@@ -36,8 +37,13 @@ class Daemon final : public ControlTarget {
   Result<void> start();
 
   /// Serves until `quit` is set: records finished checks, reopens a vanished interface. A check under way is
-  /// then stopped, and its record saved, before this returns.
-  void serve(const std::atomic<bool>& quit);
+  /// then stopped, and its record saved, before this returns. `each_round` is called every few milliseconds.
+  void serve(const std::atomic<bool>& quit, const std::function<void()>& each_round);
+
+  /// Ticks that the loop has made.
+  std::uint64_t ticks() const { return core_.status().ticks.load(); }
+  /// The station in one line.
+  std::string headline() const;
 
   control::StationStatus status() override;
   Result<std::uint64_t> start(const CheckRequest& request) override;

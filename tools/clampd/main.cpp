@@ -4,12 +4,15 @@
 #include <utility>
 
 #include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/sinks/systemd_sink.h>
 #include <spdlog/spdlog.h>
 #include <CLI/CLI.hpp>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/base/version.hpp"
 #include "drivers/gpio/panel.hpp"
 #include "tools/clampd/daemon.hpp"
+#include "tools/clampd/service_manager.hpp"
 #include "tools/cli/exit_code.hpp"
 
 namespace {
@@ -29,6 +32,12 @@ int refuse(const clampd::Error& error) {
   return clampd::cli::kBadInput;
 }
 
+/// What is not there may come: the service tries again after this, and not after refuse().
+int miss(const clampd::Error& error) {
+  spdlog::critical("{}", error.message);
+  return clampd::cli::kStation;
+}
+
 /// On a simulated brake the loop's clock is a count of ticks, which asks no real time of the machine.
 void simulate_the_brake(clampd::StationConfiguration& configuration) {
   configuration.simulated_brake = true;
@@ -39,13 +48,21 @@ void simulate_the_brake(clampd::StationConfiguration& configuration) {
 
 int serve(clampd::daemon::Daemon& daemon, const clampd::StationConfiguration& configuration) {
   using namespace clampd;
+  const ControlSettings& api = configuration.control;
+  const Result<int> inherited = daemon::ServiceManager::inherited_socket(api.address, api.port);
+  if (!inherited) return refuse(inherited.error());
   if (const Result<void> started = daemon.start(); !started) return refuse(started.error());
-  const auto server = daemon::ControlServer::start(
-      daemon, configuration.control.address, configuration.control.port, configuration.control.token_file);
+  const auto server = daemon::ControlServer::start(daemon, api.address, api.port, api.token_file, *inherited);
   if (!server) return refuse(server.error());
   spdlog::info("clampd {} on {}, control API on {}:{}", kVersion, configuration.can.interface,
                configuration.control.address, (*server)->port());
-  daemon.serve(quit);
+  if (const auto answer = control::Client(api.address, api.port, "").status(); !answer)
+    return miss({"the control API does not answer: " + answer.error().message});
+  daemon::ServiceManager manager;
+  daemon.serve(quit, [&] {
+    if (quit) manager.stopping();
+    manager.round(daemon.ticks(), daemon.headline(), monotonic_now_ns());
+  });
   spdlog::info("clampd ends; the drive is off");
   return cli::kSuccess;
 }
@@ -67,7 +84,7 @@ int run(const std::string& file, bool simulated, const std::string& plant_file) 
   std::unique_ptr<gpio::Panel> panel;
   if (station->panel) {
     Result<std::unique_ptr<gpio::Panel>> opened = gpio::Panel::open(*station->panel);
-    if (!opened) return refuse(opened.error());
+    if (!opened) return miss(opened.error());
     panel = std::move(*opened);
   }
   Result<CheckStore> store = CheckStore::open(configuration->database);
@@ -83,7 +100,7 @@ int run(const std::string& file, bool simulated, const std::string& plant_file) 
   }
   Result<std::unique_ptr<can::SocketCanBus>> bus =
       can::SocketCanBus::open(configuration->can.interface, station->codec.feedback_ids());
-  if (!bus) return refuse(bus.error());
+  if (!bus) return miss(bus.error());
   daemon::Daemon daemon(*station, **bus, *store, panel.get());
   return serve(daemon, *configuration);
 }
@@ -113,6 +130,9 @@ int main(int argc, char** argv) {
     app.exit(mistake);
     return clampd::cli::kBadInput;
   }
-  spdlog::set_default_logger(spdlog::stderr_color_mt("clampd"));
+  if (clampd::daemon::logs_to_journal())
+    spdlog::set_default_logger(spdlog::systemd_logger_mt("clampd", "clampd"));
+  else
+    spdlog::set_default_logger(spdlog::stderr_color_mt("clampd"));
   return run(configuration, simulated, plant);
 }
