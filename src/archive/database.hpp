@@ -41,7 +41,10 @@ inline tl::unexpected<Error> explained(const std::string& path, const SQLite::Ex
       advice = "; check that the folder exists and may be written to";
       break;
     case SQLITE_FULL:
-      advice = "; the disk is full";
+      advice = "; the disk is full: make room";
+      break;
+    case SQLITE_IOERR:
+      advice = "; the disk refuses: is it full, over its quota, gone or broken?";
       break;
     default:
       break;

@@ -17,6 +17,7 @@ class Program {
   Program(const Program&) = delete;
   Program& operator=(const Program&) = delete;
 
+  pid_t process() const { return pid_; }
   void send(int signal) const;
   /// Asks it to end, waits, and gives its exit code (-signal if it was killed).
   int end();

@@ -44,6 +44,7 @@ Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
   if (busy())
     return failure(
         fmt::format("a check of {} is under way; wait for it or stop it with `clampctl stop`", serial_));
+  if (unsaved_) return failure(storage_problem_);
   const StationState state = core_.status().state.load();
   if (state == StationState::Fault) {
     const rt::FaultRule& rule = rt::fault_rule(core_.status().fault.load());
@@ -84,8 +85,9 @@ std::optional<CheckRecord> CheckConductor::pump(Instant now) {
     while (core_.ring().pop(idle)) {
     }
     if (conclusion_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return std::nullopt;
-    return keep(conclusion_.get());
+    return keep(conclusion_.get(), now);
   }
+  if (unsaved_ && now.steady_ns >= save_again_ns_) return keep(*std::exchange(unsaved_, std::nullopt), now);
   // Read before the ring is emptied: what belongs to a finished check is in the ring by then.
   const bool finished =
       busy() && core_.status().checks_finished.load(std::memory_order_acquire) != finished_before_;
@@ -96,7 +98,7 @@ std::optional<CheckRecord> CheckConductor::pump(Instant now) {
       if (watcher_) watcher_(sample);
     }
   if (finished) {
-    if (mode_ == WorkerMode::Synchronous) return keep(session_->finish(outcome_at(now)));
+    if (mode_ == WorkerMode::Synchronous) return keep(session_->finish(outcome_at(now)), now);
     conclusion_ =
         std::async(std::launch::async, [session = session_.get(), outcome = outcome_at(now)]() mutable {
           return session->finish(std::move(outcome));
@@ -151,22 +153,39 @@ CheckOutcome CheckConductor::outcome_at(Instant now) {
   return outcome;
 }
 
-CheckRecord CheckConductor::keep(CheckRecord record) {
+Result<void> CheckConductor::save(const CheckRecord& record) {
+  const LimitSet& limits = station_.limits;
+  return store_
+      ->save_limits({limits.sha256, limits.revision, limits.author, limits.changed, limits.file,
+                     limits.contents, record.started})
+      .and_then([&] { return store_->save(record); });
+}
+
+std::optional<CheckRecord> CheckConductor::keep(CheckRecord record, Instant now) {
   session_.reset();
-  if (store_ != nullptr) {
-    const LimitSet& limits = station_.limits;
-    const Result<void> saved =
-        store_
-            ->save_limits({limits.sha256, limits.revision, limits.author, limits.changed, limits.file,
-                           limits.contents, record.started})
-            .and_then([&] { return store_->save(record); });
-    if (!saved) {
-      // A result that is not on record must not release a brake.
-      record.verdict = Verdict::Error;
-      record.reason = "the result could not be saved: " + saved.error().message;
-    }
+  const Result<void> saved = store_ == nullptr ? Result<void>() : save(record);
+  if (saved) {
+    storage_problem_.clear();
+    return record;
   }
-  return record;
+  // A result that is not on record must not release a brake.
+  if (mode_ == WorkerMode::Synchronous) {  // for whom nobody would try again
+    record.verdict = Verdict::Error;
+    record.reason = "the result could not be saved: " + saved.error().message;
+    return record;
+  }
+  save_again_ns_ = now.steady_ns + kNanosecondsPerSecond;
+  const bool known = !storage_problem_.empty();
+  storage_problem_ = fmt::format(
+      "the result of {} could not be saved: {}. The station keeps it and tries again every second; until then "
+      "no brake is checked",
+      record.serial, saved.error().message);
+  unsaved_ = std::move(record);
+  if (known) return std::nullopt;
+  CheckRecord shown = *unsaved_;
+  shown.reason = fmt::format("Judged {}, but {}.", to_string(shown.verdict), storage_problem_);
+  shown.verdict = Verdict::Error;
+  return shown;
 }
 
 }  // namespace clampd::assembly

@@ -44,18 +44,22 @@ class CheckConductor {
 
   /// Empties the ring; gives the record once the check has ended and its runs are identified, and diagnosed
   /// if need be: in the background mode beside the calls, which then never wait. Call it at least every
-  /// second: the ring holds eight.
+  /// second: the ring holds eight. A record that could not be saved comes as an ERROR that says so, and again
+  /// with its own verdict once it is saved, which is tried every second; no check begins in between.
   std::optional<CheckRecord> pump(Instant now);
 
   bool busy() const { return session_ != nullptr; }
   /// The brake is done, the record not yet.
   bool concluding() const { return conclusion_.valid(); }
+  /// Why the last result is not on record yet; empty: it is.
+  const std::string& storage_problem() const { return storage_problem_; }
   CheckSession::Progress progress() const;
   const std::string& serial() const { return serial_; }
 
  private:
   CheckOutcome outcome_at(Instant now);
-  CheckRecord keep(CheckRecord record);
+  std::optional<CheckRecord> keep(CheckRecord record, Instant now);
+  Result<void> save(const CheckRecord& record);
 
   const PreparedStation& station_;
   rt::ControlCore& core_;
@@ -70,6 +74,9 @@ class CheckConductor {
   PortHealth health_before_;
   std::int64_t started_steady_ns_ = 0;
   bool deadline_passed_ = false;
+  std::optional<CheckRecord> unsaved_;  ///< judged, but not on record yet
+  std::int64_t save_again_ns_ = 0;      ///< steady
+  std::string storage_problem_;
   std::future<CheckRecord> conclusion_;  ///< last: what makes it uses the session
 };
 

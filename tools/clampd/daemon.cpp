@@ -221,6 +221,7 @@ control::StationStatus Daemon::status() {
     for (gpio::LineReport& line : panel_->report())
       status.panel.push_back({std::move(line.line), std::move(line.role), std::move(line.state)});
   status.master = master_;
+  status.storage = conductor_.storage_problem();
   if (publishing_)
     for (assembly::ChannelReport& channel : publishing_->report(store_))
       status.publishing.push_back({std::move(channel.channel), std::move(channel.where), channel.connected,

@@ -135,7 +135,7 @@ function showStatus() {
   $('simulated').hidden = !status.simulated;
   showInterlocks();
   setText($('link'), `${status.interface} ${status.link} · ${fixed(status.force_N / 1000, 1)} kN · ${fixed(status.velocity_rad_s, 0)} rad/s · ${fixed(status.torque_Nm, 2)} N m`);
-  $('notices').replaceChildren(...[status.notice, status.master, ...status.publishing.map(publishingTrouble)].filter(Boolean).map((text) => element('div', { textContent: text })));
+  $('notices').replaceChildren(...[status.storage, status.notice, status.master, ...status.publishing.map(publishingTrouble)].filter(Boolean).map((text) => element('div', { textContent: text })));
   const fault = status.state === 'FAULT';
   $('fault').hidden = !fault;
   if (fault) {
@@ -256,10 +256,10 @@ let seen = { check: null, judged: null };
 
 /** The record of the last check, once there is one: of this or, where the daemon has made none yet, of none. */
 async function followRecord() {
-  const judged = status.last_verdict !== '';
+  const judged = status.last_verdict;  // changes once more where a result was saved late
   if (seen.check === status.check && seen.judged === judged) return;
-  const progress = judged ? await ask('/v1/checks/current') : null;
-  const news = seen.check !== null && judged;
+  const progress = judged !== '' ? await ask('/v1/checks/current') : null;
+  const news = seen.check !== null && judged !== '';
   seen = { check: status.check, judged };
   record = progress?.record ?? null;
   showRecord();

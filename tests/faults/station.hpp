@@ -1,0 +1,41 @@
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "dashboard/program.hpp"
+#include "support/temporary_directory.hpp"
+#include "tools/control/messages.hpp"
+
+namespace clampd::faults {
+
+/// A daemon on its simulated brake, in a folder that outlives it. Its checks wait for a broker that is not
+/// there.
+class Station {
+ public:
+  Station();
+
+  /// Starts the program and waits until it answers: its first status.
+  control::StationStatus start();
+  /// Waits until a check may begin; false if that does not come.
+  bool wait_for_idle() const;
+  /// Waits for a finished check: its document.
+  nlohmann::ordered_json finished() const;
+  /// Sends the signal and waits for the end: its exit code, -signal if it was killed.
+  int end(int signal);
+
+  const control::Client& client() const { return client_; }
+  std::string database() const { return folder_.path("state/checks.sqlite"); }
+  const support::TemporaryDirectory& folder() const { return folder_; }
+  std::string log() const { return folder_.read("log"); }
+  pid_t process() const { return program_->process(); }
+
+ private:
+  support::TemporaryDirectory folder_;
+  int port_;
+  std::string configuration_;
+  control::Client client_;
+  std::optional<screen::Program> program_;
+};
+
+}  // namespace clampd::faults
