@@ -14,8 +14,8 @@ constexpr int kWidth = 8;  // derivatives of a Jet
 /// The same equations in plain numbers, and in numbers with derivatives by eight directions each: directions
 /// are states, parameters, torque.
 struct ExtendedBrake::Numbers {
-  Numbers(const ExtendedParameters& given, int states, std::span<const Place> places, int substeps)
-      : parameters(given), plain(parameters, substeps) {
+  Numbers(const ExtendedParameters& parameters, int states, std::span<const Place> places, int substeps)
+      : plain(parameters, substeps) {
     const int directions = states + static_cast<int>(places.size()) + 1;
     for (int first = 0; first < directions; first += kWidth) {
       ExtendedEquations<Jet>& chunk = chunks.emplace_back(parameters, substeps);
@@ -28,7 +28,6 @@ struct ExtendedBrake::Numbers {
     if (direction >= first && direction < first + kWidth) number.v[direction - first] = 1.0;
   }
 
-  const ExtendedParameters parameters;
   const ExtendedEquations<double> plain;
   std::vector<ExtendedEquations<Jet>> chunks;
 };
@@ -43,8 +42,7 @@ ExtendedBrake::ExtendedBrake(const ExtendedParameters& parameters) {
     const EffectInfo& info = values.effect->info();
     CLAMPD_ASSERT(values.values.size() == info.parameters.size());
     for (std::size_t i = 0; i < info.parameters.size(); ++i)
-      if (is_estimated(info.parameters[i]))
-        places_.push_back({static_cast<int>(e), static_cast<int>(i)});
+      if (is_estimated(info.parameters[i])) places_.push_back({static_cast<int>(e), static_cast<int>(i)});
     for (int i = 0; i < info.free_states; ++i) free_states_.push_back(states_ + i);
     states_ += info.states;
     own += info.parameters.size();

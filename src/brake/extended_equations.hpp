@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include "clampd/brake/extended_brake.hpp"
 #include "clampd/brake/integrator.hpp"
@@ -18,41 +19,31 @@ class ExtendedEquations {
  public:
   static constexpr int kMostOwn = 32;
 
-  /// Keeps a reference to `parameters`.
   ExtendedEquations(const ExtendedParameters& parameters, int substeps)
-      : parameters_(&parameters), fixed_(parameters.base.fixed), substeps_(substeps) {
+      : fixed_(parameters.base.fixed), substeps_(substeps) {
     for (std::size_t i = 0; i < kParameterCount; ++i)
       theta_[i] = T(parameters.base.theta[static_cast<Eigen::Index>(i)]);
-    T* own = own_;
+    int own = 0;
     for (const EffectValues& values : parameters.effects) {
-      for (const double value : values.values) *own++ = T(value);
-      has_own_states_ = has_own_states_ || values.effect->info().states > 0;
+      parts_.push_back({values.effect, own, states_});
+      for (const double value : values.values) own_[own++] = T(value);
+      states_ += values.effect->info().states;
     }
   }
 
   T& number(const ExtendedBrake::Place& place) {
     if (place.effect < 0) return theta_[place.parameter];
-    std::size_t at = static_cast<std::size_t>(place.parameter);
-    for (std::size_t e = 0; e < static_cast<std::size_t>(place.effect); ++e)
-      at += parameters_->effects[e].values.size();
-    return own_[at];
+    return own_[parts_[static_cast<std::size_t>(place.effect)].own + place.parameter];
   }
 
   void settle(const T& position, const T& velocity, const RowInput& first, T* states) const {
     states[0] = position;
     states[1] = velocity;
-    const T* own = own_;
-    T* own_states = states + 2;
-    for (const EffectValues& values : parameters_->effects)
-      for (int i = 0; i < values.effect->info().states; ++i) *own_states++ = T(0.0);
+    std::fill(states + 2, states + states_, T(0.0));
     effects_detail::Instant<T> now = start_of(first, effects_detail::value_of(velocity) < 0.0 ? -1.0 : 1.0);
     complete(now, position, velocity, T(0.0), T(0.0), T(first.torque_Nm), states);
-    own_states = states + 2;
-    for (const EffectValues& values : parameters_->effects) {
-      equations(values).on_settle(now, {own, own_states}, own_states);
-      own += values.values.size();
-      own_states += values.effect->info().states;
-    }
+    each(states,
+         [&](const auto& effect, const auto& own, int at) { effect.on_settle(now, own, states + at); });
   }
 
   effects_detail::Readout<T> read(const T* states, const RowInput& row) const {
@@ -70,7 +61,7 @@ class ExtendedEquations {
     std::copy(states, states + ExtendedBrake::kMostStates, next);
     each(states,
          [&](const auto& effect, const auto& own, int at) { effect.on_torque(input, own, next + at); });
-    if (!has_own_states_) {
+    if (!has_own_states()) {
       for (int i = 0; i < steps; ++i) step(states, input.torque_Nm, row, row.gap_s / steps, values);
       return;
     }
@@ -139,17 +130,17 @@ class ExtendedEquations {
   }
 
  private:
-  static const effects_detail::Equations<T>& equations(const EffectValues& values) { return *values.effect; }
+  /// An effect, and where its parameters and its states begin.
+  struct Part {
+    const effects_detail::Equations<T>* equations;
+    int own;
+    int state;
+  };
 
   template <class Act>
   void each(const T* states, const Act& act) const {
-    const T* own = own_;
-    int at = 2;
-    for (const EffectValues& values : parameters_->effects) {
-      act(equations(values), effects_detail::Own<T>{own, states + at}, at);
-      own += values.values.size();
-      at += values.effect->info().states;
-    }
+    for (const Part& part : parts_)
+      act(*part.equations, effects_detail::Own<T>{own_ + part.own, states + part.state}, part.state);
   }
 
   effects_detail::Instant<T> start_of(const RowInput& row, double direction) const {
@@ -215,7 +206,7 @@ class ExtendedEquations {
 
   void finish(T* states, const Reached& reached, const T& elapsed, const T& torque, const RowInput& row,
               double direction) const {
-    if (!has_own_states_) {
+    if (!has_own_states()) {
       states[0] = reached.position;
       states[1] = reached.velocity;
       return;
@@ -268,12 +259,14 @@ class ExtendedEquations {
     }
   }
 
-  const ExtendedParameters* parameters_;
+  bool has_own_states() const { return states_ > 2; }  ///< to be remembered from row to row
+
+  std::vector<Part> parts_;
   FixedParameters fixed_;
   T theta_[kParameterCount];
   T own_[kMostOwn];
   int substeps_;
-  bool has_own_states_ = false;  ///< else nothing is to be remembered from row to row
+  int states_ = 2;
 };
 
 }  // namespace clampd

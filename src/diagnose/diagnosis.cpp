@@ -27,6 +27,10 @@ constexpr double kFalseResidual = 0.003;
 /// named effects explain: a real effect never has quite the candidate's form.
 constexpr double kLeastUnexplained_nats = 8.0;
 constexpr double kUnexplainedShare = 0.08;
+/// So many effects that leave so many times what they explain are none of them what is wrong: neither further
+/// ones nor the question which of them help most are worth the time.
+constexpr std::size_t kFewestBeforeLost = 2;
+constexpr double kLost = 2.0;
 /// An effect whose strength these runs know no better than this, over the change that matters, was not seen.
 constexpr double kBlind = 0.5;
 constexpr std::size_t kMostRivals = 3;
@@ -190,15 +194,29 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   selecting.most_effects = options.most_effects;
   selecting.false_alarm = options.false_alarm;
   selecting.progress = options.progress;
-  Selection selection = select_effects(runs, base, selecting);
-  const Residuals after = selection.effects.empty() ? before : examine(selection.chosen, threads);
-
-  Diagnosis diagnosis;
-  diagnosis.alarm_evidence = alarm_level(options.false_alarm);
-  const double explained = selection.chosen.log_likelihood() - base.log_likelihood();
+  Selection selection{base, base, {}, {}};
+  Residuals after = before;
+  double explained = 0.0;
+  const auto look_at_the_rest = [&] {
+    if (!selection.effects.empty()) after = examine(selection.chosen, threads);
+    explained = selection.chosen.log_likelihood() - base.log_likelihood();
+  };
+  bool lost = false;
+  while (!lost && add_effect(runs, selecting, selection)) {
+    if (selection.effects.size() < kFewestBeforeLost) continue;
+    look_at_the_rest();
+    lost = after.nats > kLost * explained;
+  }
+  if (!lost) {
+    reconsider(runs, selecting, selection);
+    look_at_the_rest();
+  }
   const bool something_left =
       after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
   const bool much_left = something_left && after.nats > kUnexplainedShare * explained;
+
+  Diagnosis diagnosis;
+  diagnosis.alarm_evidence = alarm_level(options.false_alarm);
   bool ambiguous = false;
   for (std::size_t e = 0; e < selection.effects.size(); ++e) {
     const Selected& selected = selection.effects[e];

@@ -152,46 +152,50 @@ double alarm_level(double false_alarm) {
   return std::log(static_cast<double>(effects().size()) / false_alarm);
 }
 
-Selection select_effects(std::span<const Run> runs, const Hypothesis& base, const SelectionOptions& options) {
+bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Selection& selection) {
+  const std::size_t others = selection.effects.size();
+  if (others == static_cast<std::size_t>(options.most_effects)) return false;
   Selector selector(runs, options);
-  Selection selection{base, base, {}, {}};
-  double share = 0.15;
-  std::vector<Hypothesis> before;  // each effect was added
-  double formed = 0.0;             // gained by effects that could have another form; spikes cannot
-  for (int stage = 0; stage < options.most_effects; ++stage) {
-    const double next = share + 0.5 * (0.95 - share);
-    selection.stages.push_back(selector.judge(
-        selection.chosen, share, next,
-        stage == 0 ? "trying every effect" : fmt::format("trying every effect beside {} found", stage)));
-    share = next;
-    const std::vector<Candidate>& candidates = selection.stages.back();
-    if (candidates.empty() || !selector.is_alarm(candidates.front(), selection.effects.size())) break;
-    const Candidate& best = candidates.front();
-    if (best.gain < kMaterial * formed) break;
-    if (best.name() != "outliers") formed += best.gain;
-    selection.effects.push_back({std::string(best.name()), best.gain, best.evidence,
-                                 rivals_among(candidates, best.name(), best.evidence, best.fitted,
-                                              selector.alarm(selection.effects.size()))});
-    before.push_back(selection.chosen);
-    selection.chosen = best.fitted;
-  }
-  if (selection.effects.size() < 2) return selection;
+  const double next = selection.share + 0.5 * (0.95 - selection.share);
+  selection.stages.push_back(selector.judge(
+      selection.chosen, selection.share, next,
+      others == 0 ? "trying every effect" : fmt::format("trying every effect beside {} found", others)));
+  selection.share = next;
+  const std::vector<Candidate>& candidates = selection.stages.back();
+  if (candidates.empty() || !selector.is_alarm(candidates.front(), others)) return false;
+  const Candidate& best = candidates.front();
+  double formed = 0.0;  // gained by effects that could have another form; spikes cannot
+  for (const Selected& selected : selection.effects)
+    if (selected.name != "outliers") formed += selected.gain;
+  if (best.gain < kMaterial * formed) return false;
+  selection.effects.push_back(
+      {std::string(best.name()), best.gain, best.evidence,
+       rivals_among(candidates, best.name(), best.evidence, best.fitted, selector.alarm(others))});
+  selection.chosen = best.fitted;
+  return true;
+}
 
-  // Each effect again, with all others there: is it still needed, and does another do as well in its place?
+void reconsider(std::span<const Run> runs, const SelectionOptions& options, Selection& selection) {
+  if (selection.effects.size() < 2) return;
+  Selector selector(runs, options);
+  const std::size_t added = selection.effects.size();
   int exchanges = 0;
   for (std::size_t e = 0; e < selection.effects.size() && selection.effects.size() > 1;) {
-    // Without the last one it is where the search was before; and no less likely than the base model.
-    const bool as_added = exchanges == 0 && selection.effects.size() == before.size();
+    // Without the last one it is where the search was before, and what else was there to add is known.
+    const bool as_before = exchanges == 0 && selection.effects.size() == added && e + 1 == added;
     const Hypothesis reduced =
-        as_added && e + 1 == before.size() ? before.back() : without(selection.chosen, e, runs);
-    if (!reduced.possible() || reduced.log_likelihood() < base.log_likelihood()) {
-      ++e;  // a fit that got lost says nothing against the effect
+        as_before ? selection.stages[e - 1].front().fitted : without(selection.chosen, e, runs);
+    // A fit that got lost says nothing against the effect.
+    if (!reduced.possible() || reduced.log_likelihood() < selection.base.log_likelihood()) {
+      ++e;
       continue;
     }
     const std::string name = selection.effects[e].name;
-    std::vector<Candidate> candidates =
-        selector.judge(reduced, share, share + 0.4 * (0.97 - share), fmt::format("is {} needed?", name));
-    share += 0.4 * (0.97 - share);
+    const double next = selection.share + 0.4 * (0.97 - selection.share);
+    const std::vector<Candidate> candidates =
+        as_before ? selection.stages[e]
+                  : selector.judge(reduced, selection.share, next, fmt::format("is {} needed?", name));
+    selection.share = next;
     const auto itself = std::find_if(candidates.begin(), candidates.end(),
                                      [&](const Candidate& candidate) { return candidate.name() == name; });
     const double gain = selection.chosen.log_likelihood() - reduced.log_likelihood();
@@ -225,7 +229,6 @@ Selection select_effects(std::span<const Run> runs, const Hypothesis& base, cons
     }
     ++e;
   }
-  return selection;
 }
 
 }  // namespace clampd::diagnosing

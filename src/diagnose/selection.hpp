@@ -32,13 +32,17 @@ struct Selection {
   Hypothesis chosen;
   std::vector<Selected> effects;               ///< in the order of the chosen model's
   std::vector<std::vector<Candidate>> stages;  ///< every candidate of each round, best first
+  double share = 0.15;                         ///< of the whole work that is done
 };
 
 /// Evidence from which on a candidate is more than chance among all that were tried.
 double alarm_level(double false_alarm);
 
-/// Adds the effect that is most clearly there, one after the other, as long as it is more than chance, and
-/// takes out again or exchanges what has become superfluous.
-Selection select_effects(std::span<const Run> runs, const Hypothesis& base, const SelectionOptions& options);
+/// Adds the effect that is most clearly there; false if none is more than chance, or there are enough.
+bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Selection& selection);
+
+/// Looks at each effect that was added again, with all others there: takes out or exchanges what has become
+/// superfluous, and finds the rivals.
+void reconsider(std::span<const Run> runs, const SelectionOptions& options, Selection& selection);
 
 }  // namespace clampd::diagnosing
