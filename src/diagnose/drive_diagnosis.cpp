@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <numeric>
+#include <limits>
 
 #include <fmt/format.h>
-#include <Eigen/Dense>
-#include <boost/math/distributions/chi_squared.hpp>
 
+#include "src/diagnose/drive_fitted.hpp"
+#include "src/diagnose/drive_residuals.hpp"
 #include "src/diagnose/drive_ripple.hpp"
 #include "src/diagnose/drive_search.hpp"
 
@@ -18,12 +18,6 @@ namespace {
 using namespace drive;
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-/// A misfit that takes off less than this share of the squared error is not worth a word.
-constexpr double kMaterialShare = 0.02;
-
-/// Of the chance of a false alarm, what a misfit without a name may take.
-constexpr double kUnnamedShare = 0.1;
-
 struct UnseenReason {
   std::string_view name, reason;
 };
@@ -48,191 +42,6 @@ constexpr std::array<UnseenReason, 17> kNeverSeen{{
     {"outliers", "rows are averages over several samples"},
 }};
 
-std::string_view name_of(DriveTerm term) {
-  return kDriveTermNames[static_cast<std::size_t>(term)];
-}
-
-/// Of a torque per velocity, acceleration and so on.
-struct Units {
-  std::string torque, position, velocity, per_velocity, per_acceleration, per_velocity_squared, order;
-
-  explicit Units(const DriveModel& model)
-      : torque(model.torque_unit),
-        position(model.position_unit()),
-        velocity(position + "/s"),
-        per_velocity(torque == "A" ? "A s/" + position : torque + " s/" + position),
-        per_acceleration(torque == "N m" ? "kg m^2"
-                         : torque == "N" ? "kg"
-                                         : "A s^2/" + position),
-        per_velocity_squared(torque + " s^2/" + position + "^2"),
-        order(model.linear ? "1/m" : "1/rev") {}
-};
-
-/// Where a component's coefficients stand in the model's.
-struct Layout {
-  std::vector<DriveComponent> components;
-  std::vector<Eigen::Index> first;
-  Eigen::Index count = 0;
-
-  explicit Layout(std::vector<DriveComponent> all) : components(std::move(all)) {
-    for (const DriveComponent& component : components) {
-      first.push_back(count);
-      count += static_cast<Eigen::Index>(component.columns.size());
-    }
-  }
-  /// -1 if absent.
-  Eigen::Index at(DriveTerm term) const {
-    for (std::size_t i = 0; i < components.size(); ++i)
-      if (components[i].term == term) return first[i];
-    return -1;
-  }
-};
-
-/// A model fitted to all rows.
-struct Fitted {
-  Layout layout;
-  Regression regression;
-  Eigen::MatrixXd over_cells;  ///< covariance by parts of the operating range; empty if there are too few
-  Eigen::MatrixXd columns;
-
-  double variance_of(const Eigen::VectorXd& weights) const {
-    const double over_time = weights.dot(regression.jackknife * weights);
-    return over_cells.size() == 0 ? over_time : std::max(over_time, weights.dot(over_cells * weights));
-  }
-
-  /// Sum of factor times coefficient, with its standard deviation
-  EstimatedParameter combined(std::string name, std::string unit,
-                              std::initializer_list<std::pair<Eigen::Index, double>> terms,
-                              double known = 0.0) const {
-    Eigen::VectorXd weights = Eigen::VectorXd::Zero(layout.count);
-    for (const auto& [index, factor] : terms)
-      if (index >= 0) weights[index] += factor;
-    const double variance = variance_of(weights);
-    return {std::move(name), std::move(unit), known + weights.dot(regression.coefficients),
-            variance > 0.0 ? std::sqrt(variance) : kNaN};
-  }
-};
-
-Fitted fitted(const DriveFit& fit, std::vector<DriveComponent> components) {
-  Fitted result{Layout(std::move(components)), {}, {}, {}};
-  result.columns = fit.columns(result.layout.components);
-  result.regression = regress(result.columns, fit.target(), fit.blocks());
-  // A model that fits one part of the range better than another is known no better than they agree.
-  if (fit.by_conditions()) result.over_cells = regress(result.columns, fit.target(), fit.cells()).clustered;
-  return result;
-}
-
-double relative_error(const Fitted& model, const DriveFit& fit) {
-  double square = 0.0;
-  for (const DriveRows& run : fit.data().runs) square += run.torque.squaredNorm();
-  return std::sqrt(model.regression.residual_square / square);
-}
-
-/// Ljung and Box over ten lags.
-MisfitTest whiteness(const Eigen::VectorXd& residuals) {
-  const Eigen::Index n = residuals.size();
-  MisfitTest test{"whiteness of the torque", 0.0, 1.0, "what is left of the torque looks like noise"};
-  constexpr Eigen::Index kLags = 10;
-  const double square = residuals.squaredNorm();
-  if (n < 3 * kLags || !(square > 0.0)) return test;
-  const double size = static_cast<double>(n);
-  for (Eigen::Index lag = 1; lag <= kLags; ++lag) {
-    const double correlation = residuals.head(n - lag).dot(residuals.tail(n - lag)) / square;
-    test.statistic += size * (size + 2.0) * correlation * correlation / (size - static_cast<double>(lag));
-  }
-  const boost::math::chi_squared_distribution<double> distribution(static_cast<double>(kLags));
-  test.p_value = boost::math::cdf(boost::math::complement(distribution, test.statistic));
-  if (test.p_value < 0.01)
-    test.words = "what is left of the torque has a memory; uncertainties count it in blocks of time";
-  return test;
-}
-
-std::vector<MisfitTest> tests_of(const Fitted& model, const DriveFit& fit) {
-  const double relative = relative_error(model, fit);
-  return {{"relative torque error", relative, kNaN,
-           fmt::format("{:.2f} % of the torque is not explained, over all rows", 100.0 * relative)},
-          whiteness(model.regression.residuals)};
-}
-
-/// A value of each row, for the tests on what the rest depends on.
-Eigen::VectorXd variable_of(const DriveFit& fit, std::string_view name) {
-  std::vector<double> values;
-  double run_number = 0.0;
-  for (const DriveRows& run : fit.data().runs) {
-    for (Eigen::Index i = 0; i < run.velocity.size(); ++i)
-      values.push_back(name == "position"    ? run.position[i]
-                       : name == "velocity"  ? run.velocity[i]
-                       : name == "direction" ? (run.velocity[i] > 0.0 ? 1.0 : -1.0)
-                       : name == "time"      ? run.time_s[i]
-                                             : run_number);
-    run_number += 1.0;
-  }
-  return Eigen::Map<Eigen::VectorXd>(values.data(), static_cast<Eigen::Index>(values.size()));
-}
-
-struct DependenceTest {
-  Dependence dependence;
-  double share = 0.0;  ///< of the squared error
-  bool holds = false;  ///< blocks left out agree
-};
-
-/// A step function of eight levels beside the model.
-std::optional<DependenceTest> dependence_on(std::string_view name, const Fitted& model, const DriveFit& fit,
-                                            double tests) {
-  const Eigen::VectorXd values = variable_of(fit, name);
-  std::vector<double> sorted(values.data(), values.data() + values.size());
-  std::sort(sorted.begin(), sorted.end());
-  constexpr std::size_t kLevels = 8;
-  std::vector<double> edges;
-  for (std::size_t k = 1; k < kLevels; ++k) edges.push_back(sorted[sorted.size() * k / kLevels]);
-  edges.erase(std::unique(edges.begin(), edges.end()), edges.end());
-  Eigen::MatrixXd columns = model.columns;
-  int added = 0;
-  for (std::size_t k = 0; k <= edges.size(); ++k) {
-    const double from = k == 0 ? -std::numeric_limits<double>::infinity() : edges[k - 1];
-    const double to = k == edges.size() ? std::numeric_limits<double>::infinity() : edges[k];
-    const Eigen::VectorXd level =
-        values.unaryExpr([&](double value) { return value >= from && value < to ? 1.0 : 0.0; });
-    if (share_of_its_own(columns, level) < 0.02) continue;
-    columns.conservativeResize(Eigen::NoChange, columns.cols() + 1);
-    columns.rightCols(1) = level;
-    ++added;
-  }
-  if (added == 0) return std::nullopt;
-  const Regression with = regress(columns, fit.target(), fit.blocks());
-  const double evidence = with.evidence_of_last(added);
-  DependenceTest test;
-  test.share = 1.0 - with.residual_square / model.regression.residual_square;
-  test.dependence = {std::string(name), Location::TorqueBalance,
-                     0.5 * effective_size(with.residuals) *
-                         std::log(model.regression.residual_square / with.residual_square),
-                     std::min(1.0, tests * std::exp(-evidence))};
-  const double before =
-      std::accumulate(model.regression.heldout_square.begin(), model.regression.heldout_square.end(), 0.0);
-  const double after = std::accumulate(with.heldout_square.begin(), with.heldout_square.end(), 0.0);
-  test.holds = after < (1.0 - 0.5 * kMaterialShare) * before;
-  return test;
-}
-
-std::vector<DependenceTest> dependences(const Fitted& model, const DriveFit& fit, double false_alarm) {
-  std::vector<std::string_view> names{"velocity"};
-  if (fit.data().position_absolute) names.push_back("position");
-  if (fit.both_directions()) names.push_back("direction");
-  if (fit.blocks().size() > fit.data().runs.size()) names.push_back("time");
-  if (fit.data().runs.size() > 1 && fit.blocks().size() > fit.data().runs.size()) names.push_back("run");
-  std::vector<DependenceTest> found;
-  for (const std::string_view name : names) {
-    const auto test = dependence_on(name, model, fit, static_cast<double>(names.size()));
-    if (test && test->holds && test->dependence.p_value < kUnnamedShare * false_alarm &&
-        test->share > kMaterialShare)
-      found.push_back(*test);
-  }
-  std::sort(found.begin(), found.end(), [](const DependenceTest& a, const DependenceTest& b) {
-    return a.dependence.gain > b.dependence.gain;
-  });
-  return found;
-}
-
 /// Effects that leave more than they explain are not the cause.
 void reject_if_more_is_left(const Fitted& before, const DriveFit& fit, double false_alarm,
                             DriveSearchResult& found, std::vector<std::string>& notices) {
@@ -254,21 +63,6 @@ void reject_if_more_is_left(const Fitted& before, const DriveFit& fit, double fa
   }
 }
 
-std::vector<EstimatedParameter> base_parameters(const Fitted& model, const DriveModel& drive,
-                                                const Units& units) {
-  std::vector<EstimatedParameter> parameters;
-  const auto add = [&](DriveTerm term, const std::string& unit) {
-    if (drive.part(term).use == PartUse::Fixed)
-      parameters.push_back({std::string(name_of(term)), unit, drive.part(term).value, kNaN});
-    else if (model.layout.at(term) >= 0)
-      parameters.push_back(model.combined(std::string(name_of(term)), unit, {{model.layout.at(term), 1.0}}));
-  };
-  add(DriveTerm::Inertia, units.per_acceleration);
-  add(DriveTerm::Viscous, units.per_velocity);
-  add(DriveTerm::Coulomb, units.torque);
-  return parameters;
-}
-
 /// Root mean square of the ripple's torque, and how unevenly the drive moves: the scatter of its speed about
 /// its median, robustly, over that median.
 std::pair<double, double> ripple_of(const DriveRows& run, const Eigen::VectorXd& ripple) {
@@ -282,97 +76,6 @@ std::pair<double, double> ripple_of(const DriveRows& run, const Eigen::VectorXd&
   for (double& speed : speeds) speed = std::abs(speed - median);
   return {std::sqrt(ripple.squaredNorm() / static_cast<double>(ripple.size())),
           1.4826 * middle(speeds) / std::abs(median)};
-}
-
-std::vector<EstimatedParameter> effect_parameters(const DriveComponent& component, const Fitted& model,
-                                                  const DriveModel& drive, const Units& units) {
-  const Eigen::Index at = model.layout.at(component.term);
-  const auto known = [&](DriveTerm term) {
-    return drive.part(term).use == PartUse::Fixed ? drive.part(term).value : 0.0;
-  };
-  const auto one = [&](std::string name, std::string unit) {
-    return std::vector<EstimatedParameter>{model.combined(std::move(name), std::move(unit), {{at, 1.0}})};
-  };
-  switch (component.term) {
-    case DriveTerm::Inertia:
-    case DriveTerm::Viscous:
-    case DriveTerm::Coulomb:
-      break;
-    case DriveTerm::TorqueOffset:
-      return one("offset", units.torque);
-    case DriveTerm::FrictionAsymmetry: {
-      const bool own_offset = component.columns.size() == 2;
-      const Eigen::Index load = model.layout.at(DriveTerm::LoadPosition);
-      const Eigen::Index constant = own_offset  ? at
-                                    : load >= 0 ? -1
-                                                : model.layout.at(DriveTerm::TorqueOffset);
-      const Eigen::Index slope = own_offset ? at + 1 : at;
-      const Eigen::Index viscous = model.layout.at(DriveTerm::Viscous);
-      const Eigen::Index coulomb = model.layout.at(DriveTerm::Coulomb);
-      const double viscous_known = known(DriveTerm::Viscous);
-      const double coulomb_known = known(DriveTerm::Coulomb);
-      return {
-          model.combined("viscous-forward", units.per_velocity, {{viscous, 1.0}, {slope, 1.0}},
-                         viscous_known),
-          model.combined("coulomb-forward", units.torque, {{coulomb, 1.0}, {constant, 1.0}}, coulomb_known),
-          model.combined("viscous-backward", units.per_velocity, {{viscous, 1.0}, {slope, -1.0}},
-                         viscous_known),
-          model.combined("coulomb-backward", units.torque, {{coulomb, 1.0}, {constant, -1.0}},
-                         coulomb_known)};
-    }
-    case DriveTerm::QuadraticDrag:
-      return one("drag", units.per_velocity_squared);
-    case DriveTerm::FrictionShape: {
-      auto parameters = one("rise", units.torque);
-      parameters.push_back({"speed", units.velocity, component.shape.front(), kNaN});
-      return parameters;
-    }
-    case DriveTerm::Presliding: {
-      auto parameters = one("level", units.torque);
-      parameters.push_back({"length", units.position, component.shape.front(), kNaN});
-      return parameters;
-    }
-    case DriveTerm::Cogging: {
-      std::vector<EstimatedParameter> parameters;
-      const std::size_t each = component.columns.size() / component.shape.size();
-      for (std::size_t k = 0; k < component.shape.size(); ++k) {
-        const std::string number = fmt::format("-{}", k + 1);
-        const Eigen::Index first = at + static_cast<Eigen::Index>(k * each);
-        parameters.push_back({"order" + number, units.order, component.shape[k], kNaN});
-        // Of the runs together, where each has its own phase.
-        double square = 0.0;
-        double noise = 0.0;
-        for (std::size_t j = 0; j < each; ++j) {
-          const Eigen::Index index = first + static_cast<Eigen::Index>(j);
-          const double value = model.regression.coefficients[index];
-          square += value * value * 2.0 / static_cast<double>(each);
-          noise += value * value * model.variance_of(Eigen::VectorXd::Unit(model.layout.count, index)) * 4.0 /
-                   static_cast<double>(each * each);
-        }
-        const double amplitude = std::sqrt(square);
-        parameters.push_back({"amplitude" + number, units.torque, amplitude,
-                              amplitude > 0.0 ? std::sqrt(noise) / amplitude : kNaN});
-        if (each != 2) continue;
-        parameters.push_back(model.combined("cosine" + number, units.torque, {{first, 1.0}}));
-        parameters.push_back(model.combined("sine" + number, units.torque, {{first + 1, 1.0}}));
-      }
-      return parameters;
-    }
-    case DriveTerm::FrictionPosition:
-    case DriveTerm::LoadPosition: {
-      // Legendre polynomials of the position over the range of the runs.
-      const bool constant = component.columns.size() == 3;
-      const Eigen::Index slope = constant ? at + 1 : at;
-      std::vector<EstimatedParameter> parameters{
-          model.combined("slope", units.torque, {{slope, 1.0}}),
-          model.combined("curvature", units.torque, {{slope + 1, 1.0}})};
-      if (constant) parameters.push_back(model.combined("mean", units.torque, {{at, 1.0}}));
-      return parameters;
-    }
-    case DriveTerm::FrictionDrift:
-      return one("change-per-run", units.torque);
-  }
-  return {};
 }
 
 GainFigures figures(const Fitted& model, double square, double torque_square, double count) {
@@ -575,6 +278,55 @@ void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candi
   diagnosis.ladder.push_back(std::move(rung));
 }
 
+NamedEffect named(const DriveComponent& component, const std::vector<DriveComponent>& components,
+                  const DriveFit& fit, const Fitted& after, int candidates, const DriveModel& model,
+                  const Units& units) {
+  NamedEffect effect;
+  effect.name = name_of(component.term);
+  effect.location = Location::TorqueBalance;
+  effect.parameters = effect_parameters(component, after, model, units);
+  std::vector<DriveComponent> order;
+  for (const DriveComponent& other : components)
+    if (other.term != component.term) order.push_back(other);
+  const Fitted without = fitted(fit, order);
+  order.push_back(component);
+  const Regression with = regress(fit.columns(order), fit.target(), fit.blocks());
+  effect.log_likelihood_gain = 0.5 * effective_size(with.residuals) *
+                               std::log(without.regression.residual_square / with.residual_square);
+  effect.p_value =
+      std::min(1.0, std::exp(-with.evidence_of_last(static_cast<int>(component.columns.size()))) *
+                        component.alternatives * candidates);
+  return effect;
+}
+
+void add_ladder(const DriveSearchResult& found, const DriveFit& fit, const DriveModel& model,
+                const Units& units, Diagnosis& diagnosis) {
+  for (std::size_t s = 0; s < found.stages.size(); ++s) {
+    const DriveSearchResult::Stage& stage = found.stages[s];
+    for (std::size_t i = 0; i < stage.trials.size(); ++i) {
+      const DriveTrial& trial = stage.trials[i];
+      Rung rung;
+      rung.stage = static_cast<int>(s) + 1;
+      rung.name = name_of(trial.component.term);
+      rung.location = Location::TorqueBalance;
+      rung.predicted_gain = rung.gain = trial.gain;
+      rung.parameters = static_cast<int>(trial.component.columns.size());
+      rung.evidence = trial.evidence;
+      rung.chosen = stage.winner == i;
+      rung.rival = std::find(stage.rivals.begin(), stage.rivals.end(), i) != stage.rivals.end();
+      std::vector<DriveComponent> alone = found.base;
+      alone.push_back(trial.component);
+      rung.values = effect_parameters(trial.component, fitted(fit, alone), model, units);
+      diagnosis.ladder.push_back(std::move(rung));
+    }
+    if (!stage.winner || stage.rivals.empty()) continue;
+    std::vector<std::string> group{std::string(name_of(stage.trials[*stage.winner].component.term))};
+    for (const std::size_t rival : stage.rivals)
+      group.emplace_back(name_of(stage.trials[rival].component.term));
+    diagnosis.rivals.push_back(std::move(group));
+  }
+}
+
 std::string listed(const std::vector<std::string>& words) {
   std::string text;
   for (std::size_t i = 0; i < words.size(); ++i)
@@ -634,53 +386,15 @@ Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& mo
     }
   std::vector<std::string> words;
   for (const DriveComponent& component : found.chosen) {
-    NamedEffect effect;
-    effect.name = name_of(component.term);
-    effect.location = Location::TorqueBalance;
-    effect.parameters = effect_parameters(component, after, model, units);
-    std::vector<DriveComponent> order;
-    for (const DriveComponent& other : components)
-      if (other.term != component.term) order.push_back(other);
-    const Fitted without = fitted(fit, order);
-    order.push_back(component);
-    const Regression with = regress(fit.columns(order), fit.target(), fit.blocks());
-    effect.log_likelihood_gain = 0.5 * effective_size(with.residuals) *
-                                 std::log(without.regression.residual_square / with.residual_square);
-    effect.p_value =
-        std::min(1.0, std::exp(-with.evidence_of_last(static_cast<int>(component.columns.size()))) *
-                          component.alternatives * found.candidates);
+    diagnosis.effects.push_back(named(component, components, fit, after, found.candidates, model, units));
     words.emplace_back(words_of(component.term));
-    diagnosis.effects.push_back(std::move(effect));
   }
 
   if (model.steady && model.part(DriveTerm::Cogging).use == PartUse::Candidate)
     add_steady_ripple(steady_ripple(runs, model, diagnosis.alarm_evidence), units, found.candidates,
                       diagnosis, words);
 
-  for (std::size_t s = 0; s < found.stages.size(); ++s) {
-    const DriveSearchResult::Stage& stage = found.stages[s];
-    for (std::size_t i = 0; i < stage.trials.size(); ++i) {
-      const DriveTrial& trial = stage.trials[i];
-      Rung rung;
-      rung.stage = static_cast<int>(s) + 1;
-      rung.name = name_of(trial.component.term);
-      rung.location = Location::TorqueBalance;
-      rung.predicted_gain = rung.gain = trial.gain;
-      rung.parameters = static_cast<int>(trial.component.columns.size());
-      rung.evidence = trial.evidence;
-      rung.chosen = stage.winner == i;
-      rung.rival = std::find(stage.rivals.begin(), stage.rivals.end(), i) != stage.rivals.end();
-      std::vector<DriveComponent> alone = found.base;
-      alone.push_back(trial.component);
-      rung.values = effect_parameters(trial.component, fitted(fit, alone), model, units);
-      diagnosis.ladder.push_back(std::move(rung));
-    }
-    if (!stage.winner || stage.rivals.empty()) continue;
-    std::vector<std::string> group{std::string(name_of(stage.trials[*stage.winner].component.term))};
-    for (const std::size_t rival : stage.rivals)
-      group.emplace_back(name_of(stage.trials[rival].component.term));
-    diagnosis.rivals.push_back(std::move(group));
-  }
+  add_ladder(found, fit, model, units, diagnosis);
 
   const std::vector<DependenceTest> left = dependences(after, fit, options.false_alarm);
   for (const DependenceTest& test : left.empty() ? dependences(before, fit, options.false_alarm) : left)
