@@ -191,6 +191,14 @@ Result<LoadedRun> parse_columns(const std::string& text, const std::string& name
     if (column.wrap > 0.0) unwrap(values, column.wrap);
     if (column.scale != 1.0)
       for (double& value : values) value *= column.scale;
+    // In other units a number may be too large, or two times the same.
+    for (std::size_t row = 0; row < values.size(); ++row) {
+      if (!std::isfinite(values[row]))
+        return failure(
+            fmt::format("{}:{}:1: {} is not a finite number in SI units", name, row + 2, column.name));
+      if (column.values == &Run::time_s && row > 0 && values[row] <= values[row - 1])
+        return failure(fmt::format("{}:{}:1: {} does not increase in SI units", name, row + 2, column.name));
+    }
   }
   return loaded;
 }

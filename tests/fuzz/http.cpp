@@ -2,18 +2,19 @@
 // daemon, whose loop stands still, so that no check can begin.
 
 #include <arpa/inet.h>
-#include <poll.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <array>
+#include <cerrno>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
 #include <string_view>
 
+#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include "clampd/archive/store.hpp"
@@ -63,15 +64,17 @@ class Station {
     address.sin_port = htons(static_cast<std::uint16_t>(server_->port()));
     address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
     CLAMPD_ASSERT(::connect(socket, reinterpret_cast<sockaddr*>(&address), sizeof address) == 0);
+    // The fuzzer's own alarm interrupts calls.
     for (std::size_t sent = 0; sent < size;) {
-      const ssize_t count = ::send(socket, data + sent, size - sent, MSG_NOSIGNAL);
+      const ssize_t count = TEMP_FAILURE_RETRY(::send(socket, data + sent, size - sent, MSG_NOSIGNAL));
       if (count <= 0) break;
       sent += static_cast<std::size_t>(count);
     }
     ::shutdown(socket, SHUT_WR);
     std::string received;
     std::array<char, 4096> buffer;
-    for (ssize_t count = 0; (count = ::recv(socket, buffer.data(), buffer.size(), 0)) > 0;)
+    for (ssize_t count = 0;
+         (count = TEMP_FAILURE_RETRY(::recv(socket, buffer.data(), buffer.size(), 0))) > 0;)
       received.append(buffer.data(), static_cast<std::size_t>(count));
     ::close(socket);
     return received;
@@ -102,8 +105,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   CLAMPD_ASSERT(station.files() <= files + 2);  // SQLite's journal comes and goes
   constexpr std::string_view kStatus = "GET /v1/status HTTP/1.1\r\nHost: localhost\r\n\r\n";
   static unsigned count = 0;
-  if (count++ % 64 == 0)
-    CLAMPD_ASSERT(station.answer(reinterpret_cast<const std::uint8_t*>(kStatus.data()), kStatus.size())
-                      .starts_with("HTTP/1.1 200"));
+  if (count++ % 64 != 0) return 0;
+  const std::string status =
+      station.answer(reinterpret_cast<const std::uint8_t*>(kStatus.data()), kStatus.size());
+  if (!status.starts_with("HTTP/1.1 200")) fmt::print(stderr, "the status is: {}\n", status);
+  CLAMPD_ASSERT(status.starts_with("HTTP/1.1 200"));
   return 0;
 }
