@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <limits>
 #include <optional>
+#include <regex>
 #include <utility>
 
 #include <nlohmann/json.hpp>
@@ -287,7 +288,8 @@ std::string without_zone(std::string time) {
   return time;
 }
 
-/// Conditions only for what is asked, so that the indices serve.
+/// Conditions only for what is asked, so that the indices serve. Newest first is the order of saving: the
+/// clock may have been set back in between.
 SQLite::Statement select_checks(SQLite::Database& database, std::string_view columns,
                                 const CheckFilter& filter) {
   std::vector<std::string> conditions;
@@ -305,10 +307,9 @@ SQLite::Statement select_checks(SQLite::Database& database, std::string_view col
   // A bound of less than full precision includes all that begins with it.
   where("started <= ? || '~'", without_zone(filter.until));
   if (filter.verdict) conditions.push_back(fmt::format("verdict = {}", static_cast<int>(*filter.verdict)));
-  SQLite::Statement statement(
-      database,
-      fmt::format("SELECT {} FROM checks {}{} ORDER BY started DESC, id DESC LIMIT {}", columns,
-                  conditions.empty() ? "" : "WHERE ", fmt::join(conditions, " AND "), filter.limit));
+  SQLite::Statement statement(database, fmt::format("SELECT {} FROM checks {}{} ORDER BY rowid DESC LIMIT {}",
+                                                    columns, conditions.empty() ? "" : "WHERE ",
+                                                    fmt::join(conditions, " AND "), filter.limit));
   for (std::size_t i = 0; i < texts.size(); ++i) statement.bind(static_cast<int>(i + 1), texts[i]);
   return statement;
 }
@@ -324,6 +325,11 @@ std::string like_prefix(const std::string& text) {
 }
 
 }  // namespace
+
+bool is_filter_time(const std::string& text) {
+  static const std::regex kPattern(R"(\d{4}-\d\d-\d\d(T\d\d:\d\d(:\d\d(\.\d{1,9})?)?Z?)?)");
+  return text.size() <= 40 && std::regex_match(text, kPattern);
+}
 
 CheckStore::CheckStore(std::unique_ptr<Database> database) : database_(std::move(database)) {}
 CheckStore::CheckStore(CheckStore&&) noexcept = default;
@@ -353,6 +359,11 @@ Result<CheckStore> CheckStore::open(const std::string& path, Access access, int 
       return failure(
           fmt::format("{}: was written by a newer version of clampd (schema {}, this one knows {})", path,
                       version, kMigrations.size()));
+    if (writing && sqlite3_db_readonly(handle.getHandle(), "main") != 0)
+      return failure(
+          fmt::format("{}: may only be read, and every check has to be saved: check who owns it and "
+                      "whether its disk is mounted read-only",
+                      path));
     if (writing) {
       handle.exec("PRAGMA journal_mode = WAL");
       handle.exec("PRAGMA synchronous = FULL");
@@ -453,7 +464,7 @@ Result<CheckRecord> CheckStore::load(const std::string& id) const {
   try {
     SQLite::Statement statement(
         database_->handle, id == "last"
-                               ? "SELECT * FROM checks ORDER BY started DESC, id DESC LIMIT 1"
+                               ? "SELECT * FROM checks ORDER BY rowid DESC LIMIT 1"
                                : R"(SELECT * FROM checks WHERE id LIKE ? ESCAPE '\' ORDER BY id LIMIT 2)");
     if (id != "last") statement.bind(1, like_prefix(id));
     if (!statement.executeStep())

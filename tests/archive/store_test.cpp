@@ -6,6 +6,7 @@
 #include <string>
 
 #include <SQLiteCpp/SQLiteCpp.h>
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -193,6 +194,20 @@ TEST_F(Store, ListsTheNewestFirstAndFilters) {
   EXPECT_THAT(days({.batch = "B-4"}), ElementsAre());
   EXPECT_THAT(days({.operator_name = "' OR 1=1 --"}), ElementsAre());
   EXPECT_EQ(store.load("last")->id, "20261123T000000000Z-00000000");
+}
+
+TEST_F(Store, KeepsTheOrderOfSavingWhenTheClockIsSetBack) {
+  CheckStore store = open();
+  for (const char* hour : {"10", "09", "11"}) {
+    CheckRecord record = make_check_record(fmt::format("20261121T{}0000000Z-00000000", hour));
+    record.started = fmt::format("2026-11-21T{}:00:00.000Z", hour);
+    ASSERT_TRUE(store.save(record));
+    EXPECT_EQ(store.load("last")->id, record.id);
+  }
+  std::vector<std::string> hours;
+  const auto checks = store.list({});
+  for (const CheckSummary& check : *checks) hours.push_back(check.started.substr(11, 2));
+  EXPECT_THAT(hours, ElementsAre("11", "09", "10"));
 }
 
 TEST_F(Store, LoadsResultsWithoutRuns) {

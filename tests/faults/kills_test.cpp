@@ -85,7 +85,7 @@ class Victim {
       if (progress->finished) acknowledged_[progress->record.at("record")] = progress->record.at("verdict");
       if (!drawn && (progress->finished || (death == Death::Judging && status->judging))) {
         drawn = true;
-        within(death == Death::Finished ? 20'000 : 12'000);  // estimation and saving take some 15 ms
+        within(death == Death::Finished ? 20'000 : 40'000);  // estimation and saving take 15 ms or more
       }
     }
   }

@@ -24,9 +24,11 @@ CheckRecord check(int minute, const std::string& serial, double k2, Verdict verd
 
 TEST(LineStatistics, TakeTheLastValidCheckOfEachBrake) {
   const LineStatistics found =
-      line_statistics({check(6, "D", 36.0, Verdict::Fail), check(1, "A", 33.0), check(2, "A", 34.0),
-                       check(3, "B", 35.0), check(4, "B", 99.0, Verdict::Error), check(5, "MASTER", 50.0)},
-                      "MASTER");
+      // The last one saved first. The clock was set back before B: the order stays.
+      line_statistics(
+          {check(6, "D", 36.0, Verdict::Fail), check(5, "MASTER", 50.0), check(0, "B", 99.0, Verdict::Error),
+           check(0, "B", 35.0), check(2, "A", 34.0), check(1, "A", 33.0)},
+          "MASTER");
   EXPECT_EQ(found.checks, 5u);
   EXPECT_EQ(found.passed, 3u);
   EXPECT_EQ(found.failed, 1u);
@@ -47,6 +49,7 @@ TEST(LineStatistics, NameTheRuleAndTheBrake) {
   for (int i = 0; i < 20; ++i)
     checks.push_back(check(i, "S" + std::to_string(i), i == 17 ? 39.0 : 35.0 + 0.1 * ((i * 7) % 5)));
   checks[19].parameters[0].upper = 41.0;
+  std::reverse(checks.begin(), checks.end());
   const LineStatistics found = line_statistics(checks, "");
   EXPECT_TRUE(found.parameters[0].limits_changed);
   EXPECT_EQ(found.parameters[0].upper, 41.0);

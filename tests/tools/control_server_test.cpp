@@ -55,7 +55,8 @@ class ToyStation final : public ControlTarget {
     return {};
   }
   Result<void> clear() override { return failure("its cause is still there"); }
-  Result<nlohmann::ordered_json> results(const std::string&, const std::string&, std::uint32_t) override {
+  Result<nlohmann::ordered_json> results(const CheckFilter& filter) override {
+    asked = filter;
     return nlohmann::ordered_json::array();
   }
   Result<nlohmann::ordered_json> result(const std::string& id) override { return failure("no check " + id); }
@@ -72,6 +73,7 @@ class ToyStation final : public ControlTarget {
 
   std::string serial;
   std::string next_serial;
+  CheckFilter asked;
   bool stopped = false;
 };
 
@@ -317,6 +319,17 @@ TEST_F(ControlApi, RefusesNonsense) {
     EXPECT_EQ(large->status, 413);
   }
   EXPECT_TRUE(station_.serial.empty());
+  for (const char* query : {"since=yesterday", "until=2026-11-21T14%3A30%2B02%3A00", "verdict=GOOD"})
+    EXPECT_EQ(http.Get(std::string("/v1/results?") + query)->status, 400) << query;
+  ASSERT_EQ(http.Get("/v1/results?serial=S&part_number=P&batch=B&operator=Jo&verdict=FAIL&since=2026-11-20&"
+                     "until=2026-11-21T14%3A30Z&limit=7")
+                ->status,
+            200);
+  const CheckFilter& asked = station_.asked;
+  EXPECT_EQ(asked.serial + asked.part_number + asked.batch + asked.operator_name, "SPBJo");
+  EXPECT_EQ(asked.verdict, Verdict::Fail);
+  EXPECT_EQ(asked.since + " " + asked.until, "2026-11-20 2026-11-21T14:30Z");
+  EXPECT_EQ(asked.limit, 7U);
   const auto limit = http.Get("/v1/results?limit=-3");
   ASSERT_TRUE(limit);
   EXPECT_EQ(limit->status, 400);

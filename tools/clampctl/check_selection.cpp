@@ -1,6 +1,5 @@
 #include "tools/clampctl/check_selection.hpp"
 
-#include <regex>
 #include <string>
 
 #include <CLI/CLI.hpp>
@@ -11,8 +10,7 @@ namespace {
 
 const CLI::Validator kMoment(
     [](std::string& text) -> std::string {
-      static const std::regex kPattern(R"(\d{4}-\d\d-\d\d(T\d\d:\d\d(:\d\d(\.\d+)?)?Z?)?)");
-      if (std::regex_match(text, kPattern)) return {};
+      if (is_filter_time(text)) return {};
       return "'" + text + "' is no date 2026-11-21 or time 2026-11-21T14:30Z (UTC)";
     },
     "TIME");

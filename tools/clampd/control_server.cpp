@@ -227,6 +227,32 @@ std::optional<Number> read_number(const httplib::Request& request, httplib::Resp
 
 constexpr std::uint32_t kMostResults = 1000;
 
+/// Which checks are asked for; nothing, and the refusal as response, if that cannot be told.
+std::optional<CheckFilter> read_filter(const httplib::Request& request, httplib::Response& response) {
+  CheckFilter filter;
+  const auto limit = read_number<std::uint32_t>(request, response, "limit", 1, kMostResults, filter.limit);
+  if (!limit) return std::nullopt;
+  filter.limit = *limit;
+  filter.serial = request.get_param_value("serial");
+  filter.part_number = request.get_param_value("part_number");
+  filter.batch = request.get_param_value("batch");
+  filter.operator_name = request.get_param_value("operator");
+  filter.since = request.get_param_value("since");
+  filter.until = request.get_param_value("until");
+  const std::string verdict = request.get_param_value("verdict");
+  filter.verdict = parse_verdict(verdict);
+  if (!verdict.empty() && !filter.verdict) {
+    refuse(response, 400, "no such verdict; there are PASS, FAIL, ERROR, TIMEOUT, ABORTED");
+    return std::nullopt;
+  }
+  for (const std::string& time : {filter.since, filter.until})
+    if (!time.empty() && !is_filter_time(time)) {
+      refuse(response, 400, "since and until must be a date 2026-11-21 or a time 2026-11-21T14:30Z (UTC)");
+      return std::nullopt;
+    }
+  return filter;
+}
+
 /// What the screen may do in a browser: nothing but itself, from nowhere else.
 httplib::Headers default_headers() {
   return {
@@ -321,11 +347,8 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& targe
     answer_or_refuse(response, target.clear().map([] { return nlohmann::ordered_json::object(); }), 409);
   });
   server.Get("/v1/results", [&target](const httplib::Request& request, httplib::Response& response) {
-    const auto limit = read_number<std::uint32_t>(request, response, "limit", 1, kMostResults, 50);
-    if (!limit) return;
-    answer_or_refuse(
-        response,
-        target.results(request.get_param_value("serial"), request.get_param_value("verdict"), *limit), 400);
+    if (const std::optional<CheckFilter> filter = read_filter(request, response))
+      answer_or_refuse(response, target.results(*filter), 503);
   });
   server.Get(R"(/v1/results/([A-Za-z0-9_.:-]+))",
              [&target](const httplib::Request& request, httplib::Response& response) {

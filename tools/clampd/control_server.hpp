@@ -5,6 +5,7 @@
 #include <string>
 #include <thread>
 
+#include "clampd/archive/store.hpp"
 #include "clampd/base/result.hpp"
 #include "tools/control/messages.hpp"
 
@@ -20,8 +21,7 @@ class ControlTarget {
   virtual control::CheckProgress progress(bool colour) = 0;
   virtual Result<void> stop() = 0;
   virtual Result<void> clear() = 0;
-  virtual Result<nlohmann::ordered_json> results(const std::string& serial, const std::string& verdict,
-                                                 std::uint32_t limit) = 0;
+  virtual Result<nlohmann::ordered_json> results(const CheckFilter& filter) = 0;
   virtual Result<nlohmann::ordered_json> result(const std::string& id) = 0;
   virtual Result<nlohmann::ordered_json> run(const std::string& id, std::size_t number) = 0;
   virtual Result<nlohmann::ordered_json> statistics(std::uint32_t limit) = 0;

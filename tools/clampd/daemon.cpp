@@ -295,16 +295,7 @@ Result<void> Daemon::clear() {
                              fault_text(board.fault.load())));
 }
 
-Result<nlohmann::ordered_json> Daemon::results(const std::string& serial, const std::string& verdict,
-                                               std::uint32_t limit) {
-  CheckFilter filter;
-  filter.serial = serial;
-  filter.limit = limit;
-  if (!verdict.empty()) {
-    filter.verdict = parse_verdict(verdict);
-    if (!filter.verdict)
-      return failure(fmt::format("no verdict '{}'; there are PASS, FAIL, ERROR, TIMEOUT, ABORTED", verdict));
-  }
+Result<nlohmann::ordered_json> Daemon::results(const CheckFilter& filter) {
   const std::lock_guard lock(mutex_);
   return store_.list(filter).map(
       [](const std::vector<CheckSummary>& checks) { return summaries_json(checks); });

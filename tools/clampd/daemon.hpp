@@ -51,8 +51,7 @@ class Daemon final : public ControlTarget {
   control::CheckProgress progress(bool colour) override;
   Result<void> stop() override;
   Result<void> clear() override;
-  Result<nlohmann::ordered_json> results(const std::string& serial, const std::string& verdict,
-                                         std::uint32_t limit) override;
+  Result<nlohmann::ordered_json> results(const CheckFilter& filter) override;
   Result<nlohmann::ordered_json> result(const std::string& id) override;
   Result<nlohmann::ordered_json> run(const std::string& id, std::size_t number) override;
   Result<nlohmann::ordered_json> statistics(std::uint32_t limit) override;

@@ -25,7 +25,7 @@ namespace clampd::control {
 //   GET  /v1/checks/current  CheckProgress; ?colour=1 for a table with ANSI colours
 //   POST /v1/stop            operator stop
 //   POST /v1/clear           clears a fault whose cause is gone; 409 with the reason if it is not
-//   GET  /v1/results         query: serial, verdict, limit
+//   GET  /v1/results         query: serial, part_number, batch, operator, verdict, since, until, limit
 //   GET  /v1/results/{id}    clampd.check/1
 //   GET  /v1/results/{id}/runs/{number}  readings of one run, number from 0
 //   GET  /v1/statistics      clampd.statistics/1; query: limit, of the newest checks

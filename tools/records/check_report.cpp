@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <tuple>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -314,9 +313,6 @@ void write_traceability(Page& page, const CheckRecord& check) {
 
 Result<void> write_history(Page& page, const CheckReportContents& contents) {
   std::vector<CheckRecord> history = contents.history;
-  std::sort(history.begin(), history.end(), [](const CheckRecord& a, const CheckRecord& b) {
-    return std::tie(a.started, a.id) > std::tie(b.started, b.id);
-  });
   if (history.size() < 2) return {};
   page.section("History of this brake");
   Table table{history.size() > kHistoryRows

@@ -12,7 +12,8 @@ namespace clampd {
 /// What a report on one check shows.
 struct CheckReportContents {
   CheckRecord check;
-  std::vector<CheckRecord> history;      ///< checks of the same serial number, results only, in any order
+  std::vector<CheckRecord>
+      history;  ///< checks of the same serial number, results only, the last one saved first
   const Reference* reference = nullptr;  ///< of the trajectory that was replayed, if it is still known
   double guard_band_k = 2.0;             ///< of its limits
 };

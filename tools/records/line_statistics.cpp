@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <tuple>
 #include <unordered_map>
 
 namespace clampd {
@@ -24,13 +23,12 @@ void take(std::vector<ParameterStatistics>& parameters, const ParameterRecord& p
 
 }  // namespace
 
-LineStatistics line_statistics(std::vector<CheckRecord> checks, const std::string& master_serial) {
+LineStatistics line_statistics(std::vector<CheckRecord> newest_first, const std::string& master_serial) {
+  std::vector<CheckRecord> checks = std::move(newest_first);
   std::erase_if(checks, [&](const CheckRecord& check) {
     return !master_serial.empty() && check.serial == master_serial;
   });
-  std::sort(checks.begin(), checks.end(), [](const CheckRecord& a, const CheckRecord& b) {
-    return std::tie(a.started, a.id) < std::tie(b.started, b.id);
-  });
+  std::reverse(checks.begin(), checks.end());
   LineStatistics statistics;
   statistics.checks = checks.size();
   if (checks.empty()) return statistics;

@@ -19,7 +19,7 @@ struct ParameterStatistics {
   double lower = 0.0;  ///< limits of the newest check
   double upper = 0.0;
   bool limits_changed = false;  ///< among these checks
-  std::vector<double> values;   ///< one a brake, in the order of time
+  std::vector<double> values;   ///< one a brake, the first one first
   quality::Capability capability;
   quality::ChartPair charts;  ///< individual values and moving ranges
 };
@@ -34,12 +34,13 @@ struct LineStatistics {
   std::size_t simulated = 0;  ///< of all checks
   std::string first;          ///< start of the first check, RFC 3339
   std::string last;
-  std::vector<std::string> serials;             ///< of the brakes that count, in the order of time
+  std::vector<std::string> serials;             ///< of the brakes that count, the first one first
   std::vector<ParameterStatistics> parameters;  ///< of which at least two values are there
 };
 
-/// Checks in any order; those of `master_serial` are left out.
-LineStatistics line_statistics(std::vector<CheckRecord> checks, const std::string& master_serial);
+/// Checks as the archive lists them, the last one saved first, whatever the clock said; those of
+/// `master_serial` are left out.
+LineStatistics line_statistics(std::vector<CheckRecord> newest_first, const std::string& master_serial);
 
 /// Schema clampd.statistics/1.
 nlohmann::ordered_json statistics_json(const LineStatistics& statistics);

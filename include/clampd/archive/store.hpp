@@ -12,7 +12,7 @@
 
 namespace clampd {
 
-/// Which checks to list, newest first. Empty fields do not restrict.
+/// Which checks to list, the last one saved first, whatever the clock said. Empty fields do not restrict.
 struct CheckFilter {
   std::string serial = {};
   std::optional<Verdict> verdict = {};
@@ -23,6 +23,10 @@ struct CheckFilter {
   std::string operator_name = {};
   std::string until = {};  ///< as `since`: checks started then or earlier; a date includes its whole day
 };
+
+/// Whether a text can be `since` or `until` of a filter: 2026-11-21, or 2026-11-21T14:30Z, to the
+/// millisecond.
+bool is_filter_time(const std::string& text);
 
 /// One line of a list of checks.
 struct CheckSummary {
@@ -112,7 +116,7 @@ class CheckStore {
   Result<std::vector<CheckRecord>> load_results(const CheckFilter& filter) const;
 
   /// The whole record, its runs' checksums verified; runs that retention removed have no rows. `id` may be
-  /// shortened as long as it is unambiguous; "last" is the newest check.
+  /// shortened as long as it is unambiguous; "last" is the one saved last.
   Result<CheckRecord> load(const std::string& id) const;
 
   /// One check by its whole id, as `load_results` has it, and the names, figures and checksums of its runs.
