@@ -250,11 +250,6 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
     reader.integer("port", configuration.control.port, 1, 65'535);
     reader.path("token_file", configuration.control.token_file, folder);
   });
-  read_section(document, "retention", path, error, [&](TableReader& reader) {
-    reader.integer("raw_days", configuration.retention.raw_days, 0, 36'500);
-    reader.integer("raw_megabytes", configuration.retention.raw_megabytes, 0, 100'000'000);
-    reader.texts("published", configuration.retention.published);
-  });
   read_section(document, "mqtt", path, error, [&](TableReader& reader) {
     MqttConfiguration& m = configuration.mqtt;
     reader.text("host", m.host);
@@ -285,6 +280,22 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
     reader.text("user", p.user);
     reader.path("password_file", p.password_file, folder);
     reader.path("tls_ca_file", p.tls_ca_file, folder);
+  });
+  read_section(document, "retention", path, error, [&](TableReader& reader) {
+    reader.integer("raw_days", configuration.retention.raw_days, 0, 36'500);
+    reader.integer("raw_megabytes", configuration.retention.raw_megabytes, 0, 100'000'000);
+    reader.texts("published", configuration.retention.published);
+    // A channel that is not there never publishes, and the disk would fill.
+    std::vector<std::string_view> channels;
+    if (configuration.mqtt.used()) channels.emplace_back("mqtt");
+    if (configuration.postgresql.used()) channels.emplace_back("postgresql");
+    for (const std::string& channel : configuration.retention.published)
+      if (std::find(channels.begin(), channels.end(), channel) == channels.end())
+        reader.refuse(
+            (*parsed)["retention"]["published"].node()->source(),
+            fmt::format("retention.published names \"{}\", to which nothing is published; {}", channel,
+                        channels.empty() ? "configure [mqtt] or [postgresql], or leave it out"
+                                         : fmt::format("there are: {}", fmt::join(channels, ", "))));
   });
   read_section(document, "master", path, error, [&](TableReader& reader) {
     reader.text("serial", configuration.master.serial, 80);

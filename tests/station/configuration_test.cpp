@@ -35,6 +35,7 @@ TEST(StationConfiguration, AnEmptyFileIsTheDefault) {
 TEST(StationConfiguration, RetentionAndMasterBrake) {
   const auto read = parse(
       "[retention]\nraw_days = 90\nraw_megabytes = 500\npublished = [\"mqtt\", \"postgresql\"]\n"
+      "[mqtt]\nhost = \"broker\"\n[postgresql]\nhost = \"line\"\n"
       "[master]\nserial = \"M-1\"\nlimits = \"master.toml\"\ndue_h = 8\n");
   ASSERT_TRUE(read) << read.error().message;
   EXPECT_EQ(read->retention.raw_days, 90u);
@@ -48,6 +49,14 @@ TEST(StationConfiguration, RetentionAndMasterBrake) {
   EXPECT_THAT(no_list.error().message, HasSubstr("station.toml:2:13: "));
   EXPECT_THAT(no_list.error().message, HasSubstr("list of texts"));
   EXPECT_FALSE(parse("[retention]\npublished = [\"mqtt\", 1]\n"));
+  const auto nowhere = parse("[retention]\npublished = [\"mqtt\"]\n");
+  ASSERT_FALSE(nowhere);
+  EXPECT_THAT(nowhere.error().message, HasSubstr("station.toml:2:13: "));
+  EXPECT_THAT(nowhere.error().message, HasSubstr("nothing is published; configure [mqtt] or [postgresql]"));
+  const auto misspelt = parse("[retention]\npublished = [\"mqqt\"]\n[mqtt]\nhost = \"broker\"\n");
+  ASSERT_FALSE(misspelt);
+  EXPECT_THAT(misspelt.error().message,
+              HasSubstr("\"mqqt\", to which nothing is published; there are: mqtt"));
   const auto half = parse("[master]\nserial = \"M-1\"\n");
   ASSERT_FALSE(half);
   EXPECT_THAT(half.error().message, HasSubstr("both serial and limits"));
