@@ -18,6 +18,7 @@ namespace {
 using namespace drive;
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
 struct UnseenReason {
   std::string_view name, reason;
 };

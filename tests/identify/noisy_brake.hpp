@@ -4,6 +4,9 @@
 #include <random>
 #include <vector>
 
+#include <gtest/gtest.h>
+
+#include "clampd/identify/estimate.hpp"
 #include "clampd/identify/information.hpp"
 #include "clampd/record/run.hpp"
 #include "support/reference_brake.hpp"
@@ -47,6 +50,33 @@ inline BrakeParameters unlike_nominal() {
 /// (estimate - truth) / theta_nom.
 inline ParameterVector normalised_error(const BrakeParameters& estimate, const BrakeParameters& truth) {
   return (estimate.theta - truth.theta).cwiseQuotient(nominal_parameters());
+}
+
+/// Of a brake that does nothing.
+inline Run constant_run(std::size_t rows, double torque_Nm, double velocity_rad_s, double force_N) {
+  Run run;
+  run.name = "constant";
+  for (std::size_t k = 0; k < rows; ++k) run.time_s.push_back(1e-3 * static_cast<double>(k));
+  run.torque_Nm.assign(rows, torque_Nm);
+  run.velocity_rad_s.assign(rows, velocity_rad_s);
+  run.force_N.assign(rows, force_N);
+  return run;
+}
+
+/// Whatever the runs were: converged with numbers, or without any.
+inline void expect_no_nonsense(const Estimate& estimate) {
+  EXPECT_FALSE(estimate.message.empty());
+  if (estimate.converged()) {
+    EXPECT_TRUE(estimate.parameters.theta.allFinite());
+    EXPECT_TRUE(estimate.covariance_normalised.allFinite());
+    EXPECT_GT(estimate.covariance_normalised.diagonal().minCoeff(), 0.0);
+  }
+  if (estimate.termination == Termination::NotIdentifiable) {
+    EXPECT_TRUE(estimate.covariance_normalised.array().isNaN().all());
+  }
+  if (estimate.termination == Termination::NumericalFailure) {
+    EXPECT_TRUE(estimate.parameters.theta.array().isNaN().all());
+  }
 }
 
 }  // namespace clampd::support

@@ -7,10 +7,13 @@
 #include <gtest/gtest.h>
 
 #include "support/excitation.hpp"
+#include "tests/identify/noisy_brake.hpp"
 
 namespace clampd {
 namespace {
 
+using support::constant_run;
+using support::expect_no_nonsense;
 using ::testing::HasSubstr;
 
 std::vector<clampd::Run> repeats(std::size_t count, const BrakeParameters& truth, unsigned seed,
@@ -27,31 +30,6 @@ std::vector<clampd::Run> repeats(std::size_t count, const BrakeParameters& truth
                                       velocity_noise_rad_s, generator));
   }
   return runs;
-}
-
-clampd::Run constant_run(std::size_t rows, double torque_Nm, double velocity_rad_s, double force_N) {
-  clampd::Run run;
-  run.name = "constant";
-  for (std::size_t k = 0; k < rows; ++k) run.time_s.push_back(1e-3 * static_cast<double>(k));
-  run.torque_Nm.assign(rows, torque_Nm);
-  run.velocity_rad_s.assign(rows, velocity_rad_s);
-  run.force_N.assign(rows, force_N);
-  return run;
-}
-
-void expect_no_nonsense(const Estimate& summary) {
-  EXPECT_FALSE(summary.message.empty());
-  if (summary.converged()) {
-    EXPECT_TRUE(summary.parameters.theta.allFinite());
-    EXPECT_TRUE(summary.covariance_normalised.allFinite());
-    EXPECT_GT(summary.covariance_normalised.diagonal().minCoeff(), 0.0);
-  }
-  if (summary.termination == Termination::NotIdentifiable) {
-    EXPECT_TRUE(summary.covariance_normalised.array().isNaN().all());
-  }
-  if (summary.termination == Termination::NumericalFailure) {
-    EXPECT_TRUE(summary.parameters.theta.array().isNaN().all());
-  }
 }
 
 TEST(OutputError, RecoversTheParametersOfANoiseFreeRunExactly) {

@@ -18,6 +18,8 @@
 namespace clampd {
 namespace {
 
+using support::constant_run;
+using support::expect_no_nonsense;
 using support::normalised_error;
 using ::testing::HasSubstr;
 
@@ -37,16 +39,6 @@ clampd::Run exact_run(const BrakeParameters& truth, const BrakeState& initial = 
   return support::noisy_run(torque, simulation.force_N, simulation.velocity_rad_s, 0.0, 0.0, unused);
 }
 
-clampd::Run constant_run(std::size_t rows, double torque_Nm, double velocity_rad_s, double force_N) {
-  clampd::Run run;
-  run.name = "constant";
-  for (std::size_t k = 0; k < rows; ++k) run.time_s.push_back(1e-3 * static_cast<double>(k));
-  run.torque_Nm.assign(rows, torque_Nm);
-  run.velocity_rad_s.assign(rows, velocity_rad_s);
-  run.force_N.assign(rows, force_N);
-  return run;
-}
-
 /// Errors in the reported standard deviations, held parameters zero.
 ParameterVector in_deviations(const Estimate& estimate, const BrakeParameters& truth) {
   ParameterVector error = normalised_error(estimate.parameters, truth);
@@ -55,21 +47,6 @@ ParameterVector in_deviations(const Estimate& estimate, const BrakeParameters& t
     error[i] = variance > 0.0 ? error[i] / std::sqrt(variance) : 0.0;
   }
   return error;
-}
-
-void expect_no_nonsense(const Estimate& estimate) {
-  EXPECT_FALSE(estimate.message.empty());
-  if (estimate.converged()) {
-    EXPECT_TRUE(estimate.parameters.theta.allFinite());
-    EXPECT_TRUE(estimate.covariance_normalised.allFinite());
-    EXPECT_GT(estimate.covariance_normalised.diagonal().minCoeff(), 0.0);
-  }
-  if (estimate.termination == Termination::NotIdentifiable) {
-    EXPECT_TRUE(estimate.covariance_normalised.array().isNaN().all());
-  }
-  if (estimate.termination == Termination::NumericalFailure) {
-    EXPECT_TRUE(estimate.parameters.theta.array().isNaN().all());
-  }
 }
 
 TEST(PredictionError, RecoversTheParametersOfANoiseFreeRunExactly) {
