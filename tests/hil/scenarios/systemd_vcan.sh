@@ -1,4 +1,5 @@
 # The Debian package on a Debian: installed, started, watched, upgraded, removed.
+#
 # debian
 # qemu: -m 1536 -object can-bus,id=cb0 -device kvaser_pci,canbus=cb0
 . ./common.sh
@@ -25,7 +26,7 @@ check() {
   technician clampctl run --serial "SYSTEMD-$1" --repeats "$2" --json "/tmp/$1.json" >"/tmp/$1.out" 2>&1 || code=$?
 }
 
-journal_on_failure() { [ $? = 0 ] || journalctl --no-pager --no-hostname --unit 'clampd*' --lines 40; }
+journal_on_failure() { [ $? = 0 ] || { cat /tmp/status.err; journalctl --no-pager --no-hostname --unit 'clampd*' --lines 40; }; }
 trap journal_on_failure EXIT
 
 installed_and_quiet() {
@@ -82,7 +83,7 @@ checks_a_brake() {
   expect "no sample lost" [ "$(json_get /tmp/full.json /timing/lost_samples)" = 0 ]
   expect "its record is in the state directory" [ -s /var/lib/clampd/checks.sqlite ]
   expect "the operator finds it" quietly sh -c "runuser -u technician -- clampctl results | grep SYSTEMD-full"
-  expect "the journal has it" in_journal "$(json_get /tmp/full.json /id) of SYSTEMD-full: PASS"
+  expect "the journal has it" in_journal "$(json_get /tmp/full.json /record) of SYSTEMD-full: PASS"
   in_journal "SYSTEMD-full: PASS" --priority=warning && fail "a PASS is no warning"
   expect "no error in the journal since it is ready" [ -z "$(journalctl --quiet --unit clampd --priority err --since "@$ready_s")" ]
 }
