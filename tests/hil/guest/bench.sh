@@ -63,7 +63,7 @@ priority = $station_priority
 [limits]
 file = "/bench/configs/limits.toml"
 [archive]
-database = "/tmp/checks.sqlite"
+database = "${database:-/tmp/checks.sqlite}"
 [control]
 token_file = "/tmp/token"
 ${station_tables:-}
