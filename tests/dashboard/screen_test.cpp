@@ -2,6 +2,7 @@
 // the build folder's screenshots/ (CLAMPD_SCREENSHOTS names another), from where the README's come.
 
 #include <signal.h>
+#include <sys/resource.h>
 
 #include <filesystem>
 #include <optional>
@@ -40,12 +41,13 @@ class Screen : public ::testing::Test {
   }
 
   /// The daemon with this simulated brake, and the browser in front of it.
-  void start(const std::string& brake, int repeats, bool with_token = true) {
+  void start(const std::string& brake, int repeats, bool with_token = true,
+             const std::string& further_tables = "") {
     port_ = support::free_port();
     folder_.write("station.toml",
                   fmt::format("[station]\nname = \"bench-1\"\n[check]\nrepeats = {}\n[control]\nport = {}\n"
-                              "token_file = \"token\"\n",
-                              repeats, port_));
+                              "token_file = \"token\"\n{}",
+                              repeats, port_, further_tables));
     folder_.write("brake.toml", brake);
     daemon_.emplace(std::vector<std::string>{CLAMPD, "--simulated", "--config", folder_.path("station.toml"),
                                              "--simulated-brake", folder_.path("brake.toml")},
@@ -208,6 +210,28 @@ TEST_F(Screen, APageOfAnotherOriginMovesNothing) {
   browser_->open(fmt::format("http://127.0.0.1:{}/", port_));
   EXPECT_TRUE(shows("READY", 15));
   EXPECT_THAT(folder_.read("daemon.log"), Not(HasSubstr("begins")));
+}
+
+TEST_F(Screen, ADiskThatIsFullAndABrokerThatIsAwayShow) {
+  ::signal(SIGXFSZ, SIG_IGN);  // inherited: a write beyond the limit fails, as on a full disk
+  start(kGoodBrake, 2, true, fmt::format("[mqtt]\nhost = \"127.0.0.1\"\nport = {}\n", support::free_port()));
+  ASSERT_TRUE(shows("READY", 15)) << browser_->text("body");
+  const auto allow = [&](rlim_t bytes) {
+    const rlimit limit{bytes, RLIM_INFINITY};
+    ASSERT_EQ(::prlimit(daemon_->process(), RLIMIT_FSIZE, &limit, nullptr), 0);
+  };
+  browser_->type(std::string("EMB-FULL") + kEnter);
+  ASSERT_TRUE(shows("RUNNING"));
+  allow(4096);
+  ASSERT_TRUE(shows("ERROR"));
+  EXPECT_THAT(browser_->text("#verdict"), HasSubstr("could not be saved"));
+  EXPECT_THAT(browser_->text("#notices"), AllOf(HasSubstr("the result of EMB-FULL could not be saved"),
+                                                HasSubstr("disk"), HasSubstr("mqtt (127.0.0.1:")));
+  picture("disk-full");
+  allow(RLIM_INFINITY);
+  ASSERT_TRUE(shows("PASS")) << "the same check, once it is on record";
+  ASSERT_TRUE(browser_->becomes("!document.getElementById('notices').textContent.includes('saved:')"));
+  EXPECT_THAT(browser_->text("#notices"), HasSubstr("1 checks wait to be published"));
 }
 
 TEST_F(Screen, ADaemonThatIsGoneShows) {
