@@ -164,9 +164,10 @@ sets_up_can() {
   wait_until 20 "the controller is there" quietly ip link show can0
   expect "enabled and started" quietly systemctl enable --now clampd-can@can0
   expect "it is up" can_is_set_up
-  echo 0000:00:02.0 >/sys/bus/pci/drivers/kvaser_pci/unbind
+  controller=$(basename "$(readlink /sys/class/net/can0/device)")
+  echo "$controller" >/sys/bus/pci/drivers/kvaser_pci/unbind
   wait_until 20 "the unit goes with the controller" property_is clampd-can@can0 ActiveState inactive
-  echo 0000:00:02.0 >/sys/bus/pci/drivers/kvaser_pci/bind
+  echo "$controller" >/sys/bus/pci/drivers/kvaser_pci/bind
   wait_until 20 "it is set up when it is back" can_is_set_up
 }
 can_is_set_up() {
@@ -178,7 +179,7 @@ removed() {
   echo "--- removed"
   stop_brake
   expect "apt removes" apt remove clampd
-  expect "nothing of it runs" [ -z "$(pgrep -u clampd)" ]
+  expect "nothing of it runs" [ -z "$(find /proc -maxdepth 1 -user clampd)" ]
   expect "its socket is closed" [ -z "$(ss -Hltn 'sport = :8371')" ]
   expect "configuration and records stay" [ -s /etc/clampd/station.toml -a -s /var/lib/clampd/checks.sqlite ]
   expect "apt purges" apt purge clampd
