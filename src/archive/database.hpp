@@ -44,7 +44,7 @@ inline tl::unexpected<Error> explained(const std::string& path, const SQLite::Ex
       advice = "; the disk is full: make room";
       break;
     case SQLITE_IOERR:
-      advice = "; the disk refuses: is it full, over its quota, gone or broken?";
+      advice = "; the disk may be full, over its quota, gone or broken";
       break;
     default:
       break;
