@@ -16,6 +16,7 @@ namespace {
 
 constexpr int kLags = 20;
 constexpr int kCrossLags = 5;
+constexpr std::size_t kWanderRows = 256;
 constexpr int kKnots = 6;
 /// A reading with steps repeats its values: so many distinct ones at most.
 constexpr double kDistinct = 0.3;
@@ -26,11 +27,12 @@ constexpr double kTold = 1e-2;
 /// The same of directions among shapes.
 constexpr double kToldApart = 1e-3;
 
-/// Sum over lags of n rho^2 of two series of innovations, runs put together; chi-square with so many degrees.
+/// Chi-square with so many degrees where innovations are white.
 struct Correlation {
   double statistic = 0.0;
   double degrees = 0.0;
 };
+/// Sum over lags of n rho^2 of two series of innovations, runs put together.
 Correlation correlation(std::span<const FilteredRun> runs, bool force_first, bool force_second, int first_lag,
                         int last_lag) {
   Correlation result;
@@ -53,6 +55,27 @@ Correlation correlation(std::span<const FilteredRun> runs, bool force_first, boo
     if (!(square_a > 0.0) || !(square_b > 0.0)) continue;
     result.statistic += count * product * product / (square_a * square_b);
     result.degrees += 1.0;
+  }
+  return result;
+}
+
+/// Whether innovations keep their sign for long: what wanders slowly is too faint to show from row to row.
+Correlation wander(std::span<const FilteredRun> runs, bool force) {
+  Correlation result;
+  for (const FilteredRun& run : runs) {
+    const std::vector<double>& z = force ? run.force : run.velocity;
+    const std::size_t stretches = std::max<std::size_t>(1, (z.size() + kWanderRows / 2) / kWanderRows);
+    for (std::size_t i = 0; i < stretches; ++i) {
+      double sum = 0.0, count = 0.0;
+      for (std::size_t k = i * z.size() / stretches; k < (i + 1) * z.size() / stretches; ++k) {
+        if (!std::isfinite(z[k])) continue;
+        sum += z[k];
+        count += 1.0;
+      }
+      if (count == 0.0) continue;
+      result.statistic += sum * sum / count;
+      result.degrees += 1.0;
+    }
   }
   return result;
 }
@@ -356,6 +379,14 @@ Residuals examine(const Hypothesis& hypothesis, int threads) {
            correlation(filtered, true, false, -kCrossLags, kCrossLags),
            "the two readings' errors know nothing of each other",
            "the two readings err together: one of them comes late, or the balance lacks something");
+  add_test("wander of the force", Location::ForceReading, wander(filtered, true),
+           "what is left of the force does not wander",
+           "what is left of the force is to one side for hundreds of rows, then to the other");
+  add_test(
+      "wander of the velocity", Location::TorqueBalance, wander(filtered, false),
+      "what is left of the velocity does not wander",
+      "what is left of the velocity is to one side for hundreds of rows, then to the other: a torque that "
+      "changes by itself");
   add_test("spread of the force", Location::Timing, spread_against_rates(filtered, hypothesis.runs, true),
            "the force is equally uncertain everywhere",
            "the force is more uncertain where something changes fast");
