@@ -24,7 +24,8 @@ at_most() {
   echo "ok: $1: $2 <= $3"
 }
 
-# wait_until SECONDS WHAT COMMAND...: polls in guest time.
+# wait_until SECONDS WHAT COMMAND...: polls in guest time, every $poll_s.
+poll_s=0.02
 wait_until() {
   limit_s=$1
   what=$2
@@ -33,7 +34,7 @@ wait_until() {
   until "$@"; do
     awk -v begin="$begin_s" -v limit="$limit_s" '{ exit !($1 - begin < limit) }' /proc/uptime ||
       fail "$what: not within $limit_s s"
-    sleep 0.02
+    sleep $poll_s
   done
 }
 
