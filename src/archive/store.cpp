@@ -204,8 +204,7 @@ void insert_details(SQLite::Database& database, const CheckRecord& r) {
 /// All of a run but its rows.
 constexpr const char* kRunFigures =
     "name, sha256, tracking_rms_N, tracking_max_N, fit_force_rms_N, fit_velocity_rms_rad_s, estimate, "
-    "converged, "
-    "removed";
+    "converged, removed";
 
 RunRecord read_run_figures(Columns& columns) {
   RunRecord record;

@@ -198,7 +198,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   Residuals after = before;
   double explained = 0.0;
   const auto look_at_the_rest = [&] {
-    if (!selection.effects.empty()) after = examine(selection.chosen, threads);
+    after = examine(selection.chosen, threads);
     explained = selection.chosen.log_likelihood() - base.log_likelihood();
   };
   bool lost = false;
@@ -207,10 +207,8 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
     look_at_the_rest();
     lost = after.nats > kLost * explained;
   }
-  if (!lost) {
-    reconsider(runs, selecting, selection);
-    look_at_the_rest();
-  }
+  const bool changed = !lost && reconsider(runs, selecting, selection);
+  if (changed || selection.effects.size() == 1) look_at_the_rest();
   const bool something_left =
       after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
   const bool much_left = something_left && after.nats > kUnexplainedShare * explained;

@@ -175,11 +175,12 @@ bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Sele
   return true;
 }
 
-void reconsider(std::span<const Run> runs, const SelectionOptions& options, Selection& selection) {
-  if (selection.effects.size() < 2) return;
+bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Selection& selection) {
+  if (selection.effects.size() < 2) return false;
   Selector selector(runs, options);
   const std::size_t added = selection.effects.size();
   int exchanges = 0;
+  bool changed = false;
   for (std::size_t e = 0; e < selection.effects.size() && selection.effects.size() > 1;) {
     // Without the last one it is where the search was before, and what else was there to add is known.
     const bool as_before = exchanges == 0 && selection.effects.size() == added && e + 1 == added;
@@ -204,6 +205,7 @@ void reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
                                   itself == candidates.end() ? 1.0 : itself->alternatives);
     const double alarm = selector.alarm(selection.effects.size() - 1);
     if (evidence < alarm) {
+      changed = true;
       selection.chosen = reduced;
       selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
       e = 0;
@@ -220,6 +222,7 @@ void reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
     if (exchange && exchanges++ < options.most_effects) {
       // The new one takes its place at the end; what it replaces becomes its rival.
       Candidate better = selected.rivals.front();
+      changed = true;
       selection.chosen = better.fitted;
       selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
       selection.effects.push_back(
@@ -229,6 +232,7 @@ void reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
     }
     ++e;
   }
+  return changed;
 }
 
 }  // namespace clampd::diagnosing

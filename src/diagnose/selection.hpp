@@ -42,7 +42,7 @@ double alarm_level(double false_alarm);
 bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Selection& selection);
 
 /// Looks at each effect that was added again, with all others there: takes out or exchanges what has become
-/// superfluous, and finds the rivals.
-void reconsider(std::span<const Run> runs, const SelectionOptions& options, Selection& selection);
+/// superfluous, and finds the rivals. Whether the chosen model is another then.
+bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Selection& selection);
 
 }  // namespace clampd::diagnosing

@@ -187,10 +187,10 @@ Result<LoadedRun> parse_columns(const std::string& text, const std::string& name
   if (loaded.run.size() == 0)
     return failure(fmt::format("{}:{}:1: the file has a header and no rows", name, lines.number() + 1));
   for (const Column& column : columns) {
+    if (column.wrap == 0.0 && column.scale == 1.0) continue;
     std::vector<double>& values = loaded.run.*column.values;
     if (column.wrap > 0.0) unwrap(values, column.wrap);
-    if (column.scale != 1.0)
-      for (double& value : values) value *= column.scale;
+    for (double& value : values) value *= column.scale;
     // In other units a number may be too large, or two times the same.
     for (std::size_t row = 0; row < values.size(); ++row) {
       if (!std::isfinite(values[row]))

@@ -11,12 +11,7 @@ namespace clampd::faults {
 using support::eventually;
 
 Station::Station() : port_(support::free_port()), client_("127.0.0.1", port_, folder_.path("token")) {
-  configuration_ = folder_.write("station.toml", fmt::format(R"([can]
-interface = "simulated"
-[realtime]
-priority = 0
-lock_memory = false
-[check]
+  configuration_ = folder_.write("station.toml", fmt::format(R"([check]
 repeats = 1
 tare_s = 0.05
 [archive]

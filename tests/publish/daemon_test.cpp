@@ -25,9 +25,6 @@ class PublishingDaemon : public ::testing::Test {
 name = "line 3/a"
 [can]
 interface = "simulated"
-[realtime]
-priority = 0
-lock_memory = false
 [archive]
 database = "checks.sqlite"
 [control]

@@ -17,6 +17,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "support/network.hpp"
 #include "support/temporary_directory.hpp"
 
 #include <httplib.h>  // last: its <resolv.h> breaks Eigen's headers
@@ -96,11 +97,8 @@ class ControlApi : public ::testing::Test {
   /// A connection to the server, as it is.
   int connect() const {
     const int socket = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_port = htons(static_cast<std::uint16_t>(server_->port()));
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    EXPECT_EQ(::connect(socket, reinterpret_cast<sockaddr*>(&address), sizeof address), 0);
+    const sockaddr_in address = support::loopback(server_->port());
+    EXPECT_EQ(::connect(socket, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
     return socket;
   }
 
@@ -352,15 +350,8 @@ TEST(ControlClient, SaysThatNoDaemonAnswers) {
 
 /// As systemd's: the socket is another's too, and has to outlive each server that it is lent to.
 TEST(InheritedControlSocket, ServesAgainAfterARestart) {
-  const int shared = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  sockaddr_in address{};
-  address.sin_family = AF_INET;
-  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-  socklen_t length = sizeof address;
-  ASSERT_EQ(bind(shared, reinterpret_cast<sockaddr*>(&address), length), 0);
-  ASSERT_EQ(listen(shared, 8), 0);
-  ASSERT_EQ(getsockname(shared, reinterpret_cast<sockaddr*>(&address), &length), 0);
-  const int port = ntohs(address.sin_port);
+  int port = 0;
+  const int shared = support::listening_socket(port);
   ToyStation station;
   for (int start = 0; start < 3; ++start) {
     const auto server = ControlServer::start(station, "127.0.0.1", port, "", dup(shared));

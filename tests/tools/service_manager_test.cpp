@@ -20,11 +20,13 @@
 #include <gtest/gtest.h>
 
 #include "clampd/base/clock.hpp"
+#include "support/network.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd::daemon {
 namespace {
 
+using support::listening_socket;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -120,19 +122,6 @@ TEST_F(Notifications, AHungLoopIsNotFedAndAStoppingOneIs) {
   manager.stopping();
   manager.round(5, "IDLE", 2 * kTimeout_ns);
   EXPECT_THAT(heard(), ElementsAre("STOPPING=1", "WATCHDOG=1"));
-}
-
-int listening_socket(int& port) {
-  const int listening = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  sockaddr_in address{};
-  address.sin_family = AF_INET;
-  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-  socklen_t length = sizeof address;
-  EXPECT_EQ(bind(listening, reinterpret_cast<sockaddr*>(&address), length), 0);
-  EXPECT_EQ(listen(listening, 8), 0);
-  EXPECT_EQ(getsockname(listening, reinterpret_cast<sockaddr*>(&address), &length), 0);
-  port = ntohs(address.sin_port);
-  return listening;
 }
 
 /// What a process that systemd hands `socket` makes of it: the number it serves on, or the error.

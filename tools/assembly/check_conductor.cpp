@@ -178,8 +178,7 @@ std::optional<CheckRecord> CheckConductor::keep(CheckRecord record, Instant now)
   const bool known = !storage_problem_.empty();
   storage_problem_ = fmt::format(
       "the result of {} could not be saved: {}. The station keeps it and tries again every second; until "
-      "then "
-      "no brake is checked",
+      "then no brake is checked",
       record.serial, saved.error().message);
   unsaved_ = std::move(record);
   if (known) return std::nullopt;

@@ -177,7 +177,7 @@ struct ControlServer::Http final : public httplib::Server {
       if (socket >= 0)
         workers->enqueue([this, socket] { process_and_close_socket(socket); });
       else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM)
-        std::this_thread::sleep_for(std::chrono::milliseconds(10));  // until others have closed some
+        poll(&waiting[1], 1, 10);  // until others have closed some
     }
     workers->shutdown();
   }

@@ -29,6 +29,16 @@ newest_is() {
     fail "the newest check is $(json_get /tmp/results.json /checks/0/record), not $1, $record"
   expect "$1 is the newest on record, and PASS" [ "$(json_get /tmp/results.json /checks/0/verdict)" = PASS ]
 }
+# check_while_the_clock_moves NAME SECONDS
+check_while_the_clock_moves() {
+  begin "$1" 4
+  date -s "@$(($(date +%s) + $2))" >/dev/null
+  end_of_check
+  expect_pass "$1"
+  expect "no period skipped" [ "$(json_get "/tmp/$1.json" /timing/skipped)" = 0 ]
+  at_most "its duration in s" "$(json_get "/tmp/$1.json" /duration_s)" 10
+  newest_is "$1"
+}
 saved() { [ -z "$(status storage)" ]; }
 
 echo "--- the disk fills up in a check"
@@ -53,24 +63,13 @@ expect_pass after
 newest_is after
 
 echo "--- the clock is set back by an hour in a check"
-begin back 4
-date -s "@$(($(date +%s) - 3600))" >/dev/null
-end_of_check
-expect_pass back
-expect "no period skipped" [ "$(json_get /tmp/back.json /timing/skipped)" = 0 ]
-at_most "its duration in s" "$(json_get /tmp/back.json /duration_s)" 10
-newest_is back
+check_while_the_clock_moves back -3600
 check earlier 1
 expect_pass earlier
 newest_is earlier
 
 echo "--- the clock is set forward by two hours in a check"
-begin forward 4
-date -s "@$(($(date +%s) + 7200))" >/dev/null
-end_of_check
-expect_pass forward
-expect "no period skipped" [ "$(json_get /tmp/forward.json /timing/skipped)" = 0 ]
-newest_is forward
+check_while_the_clock_moves forward 7200
 kill -0 $station_pid || fail "the station is gone"
 
 echo "--- a disk that may only be read"
