@@ -259,6 +259,8 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
 
   diagnosis.misfit.tests_before = before.tests;
   if (!selection.effects.empty()) diagnosis.misfit.tests_after = after.tests;
+  diagnosis.misfit.explained_nats = explained;
+  if (something_left) diagnosis.misfit.left_nats = after.nats;
   // Of what is left; if that tells nothing by itself, of what the base model leaves.
   const auto tells = [](const Residuals& residuals) {
     return !residuals.dependences.empty() && residuals.dependences.front().p_value < kFalseResidual;
@@ -298,8 +300,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   if (something_left && !much_left && !selection.effects.empty())
     diagnosis.notices.push_back(
         fmt::format("a little is left that these effects do not explain ({:.0f} of {:.0f} nats): they may "
-                    "have another form "
-                    "than assumed",
+                    "have another form than assumed",
                     after.nats, explained));
   if (runs.size() == 1)
     diagnosis.notices.push_back(

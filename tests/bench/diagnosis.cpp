@@ -75,8 +75,9 @@ struct Score {
   Request request;
   std::vector<HiddenEffect> hidden;
   double nats = 0.0;  ///< of a pair: of the weaker one by itself
-  double unexplained_nats =
-      std::numeric_limits<double>::quiet_NaN();  ///< left by what was named, if that is wrong
+  /// Between what was named and the truth, if it is wrong.
+  double nats_apart = std::numeric_limits<double>::quiet_NaN();
+  double explained_nats = 0.0, left_nats = 0.0;  ///< as the diagnosis sees it
   std::string error;
   DiagnosisVerdict verdict = DiagnosisVerdict::Adequate;
   std::vector<std::string> named;
@@ -245,11 +246,13 @@ Score diagnose_one(const Request& request, const Options& options, Diagnosis* de
     score.location_right = contains(locations, std::string(to_string(*diagnosis->misfit.location)));
   score.outcome = judge(score);
   if (request.kind == Kind::Single && score.outcome == Outcome::Wrong) {
-    score.unexplained_nats = blind::nats_left(*set, diagnosis->model);
-    if (score.unexplained_nats < kTwins_nats) score.outcome = Outcome::TwinNamed;
+    score.nats_apart = blind::nats_left(*set, diagnosis->model);
+    if (score.nats_apart < kTwins_nats) score.outcome = Outcome::TwinNamed;
   }
   for (const Rung& rung : diagnosis->ladder)
     if (rung.stage == 1) score.least_p_value = std::min(score.least_p_value, rung.p_value);
+  score.explained_nats = diagnosis->misfit.explained_nats;
+  score.left_nats = diagnosis->misfit.left_nats;
   if (diagnosis->gain) score.heldout_misfit = diagnosis->gain->after.misfit;
   judge_parameters(*diagnosis, set->answer.brake, score);
   if (details != nullptr) *details = std::move(*diagnosis);
@@ -442,8 +445,7 @@ std::string describe(const Score& score) {
       fmt::format("{} {} seed {}: {:.0f} nats, hidden: {}; answer: {} ({})",
                   blind::to_string(score.request.kind), blind::to_string(score.request.generator),
                   score.request.seed, score.nats, fmt::join(hidden, ", "), answer, to_string(score.outcome));
-  if (std::isfinite(score.unexplained_nats))
-    text += fmt::format(", {:.0f} nats apart", score.unexplained_nats);
+  if (std::isfinite(score.nats_apart)) text += fmt::format(", {:.0f} nats apart", score.nats_apart);
   if (score.worst_parameter_sds > kStandardDeviations)
     text += fmt::format(", {} {:.1f} sd off", score.worst_parameter, score.worst_parameter_sds);
   if (score.heldout_misfit > kNoiseFloor)
@@ -473,7 +475,9 @@ nlohmann::ordered_json to_json(const Score& score) {
                               {"named", score.named},
                               {"rivals", score.rivals},
                               {"location_right", score.location_right},
-                              {"nats_left", score.unexplained_nats},
+                              {"nats_apart", score.nats_apart},
+                              {"explained_nats", score.explained_nats},
+                              {"left_nats", score.left_nats},
                               {"heldout_misfit", score.heldout_misfit},
                               {"worst_parameter_sds", score.worst_parameter_sds},
                               {"cpu_s", score.cpu_s}};

@@ -73,5 +73,21 @@ TEST(Disk, ThatIsFullReleasesNoBrakeAndLosesNoResult) {
   EXPECT_EQ((*checks)[1].id, refused.at("record"));
 }
 
+TEST(Disk, ThatStaysFullUntilTheEndIsNotSilentAboutWhatIsLost) {
+  ::signal(SIGXFSZ, SIG_IGN);
+  Station station;
+  station.start();
+  ASSERT_TRUE(station.wait_for_idle());
+  ASSERT_TRUE(station.client().start({.serial = "UNSAVED"}));
+  allow(station.process(), 4096);
+  EXPECT_EQ(station.finished().at("verdict"), "ERROR");
+  EXPECT_EQ(station.end(SIGTERM), 0);
+  EXPECT_THAT(station.log(),
+              HasSubstr("the result of UNSAVED, PASS, could not be saved until the end and is lost"));
+  const auto archive = CheckStore::open(station.database(), CheckStore::Access::ReadOnly);
+  ASSERT_TRUE(archive) << archive.error().message;
+  EXPECT_TRUE(archive->list({})->empty());
+}
+
 }  // namespace
 }  // namespace clampd::faults

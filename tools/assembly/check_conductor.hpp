@@ -53,6 +53,8 @@ class CheckConductor {
   bool concluding() const { return conclusion_.valid(); }
   /// Why the last result is not on record yet; empty: it is.
   const std::string& storage_problem() const { return storage_problem_; }
+  /// The result that is not on record yet, with its own verdict.
+  const std::optional<CheckRecord>& unsaved() const { return unsaved_; }
   CheckSession::Progress progress() const;
   const std::string& serial() const { return serial_; }
 

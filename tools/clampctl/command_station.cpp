@@ -56,6 +56,7 @@ void print_status(const control::StationStatus& status) {
     fmt::print("  {:<10} {:<7} {}\n", i == 0 ? "panel" : "", status.panel[i].state, status.panel[i].line);
   if (!status.next_serial.empty()) fmt::print("  next       {}\n", status.next_serial);
   if (!status.storage.empty()) fmt::print("  storage    {}\n", status.storage);
+  if (!status.clock.empty()) fmt::print("  clock      {}\n", status.clock);
   if (!status.notice.empty()) fmt::print("  notice     {}\n", status.notice);
   if (!status.master.empty()) fmt::print("  master     {}\n", status.master);
   for (const control::PublishingChannel& channel : status.publishing) {

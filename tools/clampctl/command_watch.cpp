@@ -96,7 +96,7 @@ std::string screen(const control::StationStatus& status, bool colour) {
     text += fmt::format("  publish  {} ({}): {}, {} checks wait{}{}\n", channel.channel, channel.where,
                         channel.connected ? "connected" : "not connected", channel.pending,
                         channel.error.empty() ? "" : "; ", channel.error);
-  for (const std::string& notice : {status.storage, status.notice, status.master})
+  for (const std::string& notice : {status.storage, status.clock, status.notice, status.master})
     if (!notice.empty()) text += fmt::format("  {}\n", paint("33", notice));
   return text;
 }

@@ -82,6 +82,11 @@ void Daemon::serve(const std::atomic<bool>& quit, const std::function<void()>& e
     pump();
     each_round();
   }
+  // It was tried again until now, and no station gave it as anything but an ERROR.
+  if (const std::optional<CheckRecord>& lost = conductor_.unsaved())
+    spdlog::critical(
+        "the result of {}, {}, could not be saved until the end and is lost; check this brake again",
+        lost->serial, to_string(lost->verdict));
 }
 
 std::string Daemon::headline() const {
@@ -94,7 +99,12 @@ std::string Daemon::headline() const {
 
 void Daemon::pump() {
   const std::lock_guard lock(mutex_);
-  if (std::optional<CheckRecord> record = conductor_.pump(instant_now())) {
+  const assembly::Instant now = instant_now();
+  if (std::string set = clock_watch_.look(now); !set.empty()) {
+    spdlog::warn("{}", set);
+    clock_ = std::move(set);
+  }
+  if (std::optional<CheckRecord> record = conductor_.pump(now)) {
     spdlog::info("check {} of {}: {}. {}", record->id, record->serial, to_string(record->verdict),
                  record->reason);
     last_record_ = std::move(record);
@@ -222,6 +232,7 @@ control::StationStatus Daemon::status() {
       status.panel.push_back({std::move(line.line), std::move(line.role), std::move(line.state)});
   status.master = master_;
   status.storage = conductor_.storage_problem();
+  status.clock = clock_;
   if (publishing_)
     for (assembly::ChannelReport& channel : publishing_->report(store_))
       status.publishing.push_back({std::move(channel.channel), std::move(channel.where), channel.connected,
@@ -251,6 +262,7 @@ Result<std::uint64_t> Daemon::begin(const CheckRequest& request) {
   if (const Result<void> begun = conductor_.begin(request, instant_now()); !begun)
     return tl::unexpected(begun.error());
   last_record_.reset();
+  clock_.clear();
   spdlog::info("check of {} begins", request.serial);
   return ++check_number_;
 }

@@ -18,6 +18,7 @@
 #include "tools/assembly/prepared_station.hpp"
 #include "tools/assembly/publishing.hpp"
 #include "tools/assembly/simulated_bench.hpp"
+#include "tools/clampd/clock_watch.hpp"
 #include "tools/clampd/control_server.hpp"
 #include "tools/clampd/live_feed.hpp"
 
@@ -85,9 +86,11 @@ class Daemon final : public ControlTarget {
   std::uint64_t check_number_ = 0;
   std::optional<CheckRecord> last_record_;
   std::optional<CheckRequest> next_;  ///< what the start button checks
-  std::string notice_;                ///< why the start button did nothing
-  std::int64_t records_due_ns_ = 0;   ///< when to look after the records again, monotonic
-  std::string master_;                ///< what the master brake asks for; empty: nothing
+  ClockWatch clock_watch_;
+  std::string clock_;                ///< that it was set since the last check began
+  std::string notice_;               ///< why the start button did nothing
+  std::int64_t records_due_ns_ = 0;  ///< when to look after the records again, monotonic
+  std::string master_;               ///< what the master brake asks for; empty: nothing
   StationState reported_state_ = StationState::Init;
   std::optional<assembly::Publishing> publishing_;
 };

@@ -90,11 +90,12 @@ struct StationStatus {
   double bus_load = 0.0;
   bool simulated = false;
   bool realtime = false;
-  std::string next_serial;                    ///< what the start button checks; empty: none is known
-  std::string notice;                         ///< why the start button did nothing, last time
-  std::vector<PanelLine> panel;               ///< empty: the station has none
-  std::string master;                         ///< what the master brake asks for; empty: nothing
-  std::string storage;                        ///< why the last result is not on record; empty: it is
+  std::string next_serial;       ///< what the start button checks; empty: none is known
+  std::string notice;            ///< why the start button did nothing, last time
+  std::vector<PanelLine> panel;  ///< empty: the station has none
+  std::string master;            ///< what the master brake asks for; empty: nothing
+  std::string storage;           ///< why the last result is not on record; empty: it is
+  std::string clock;             ///< that it was set since the last check began; empty: it was not
   std::vector<PublishingChannel> publishing;  ///< empty: nothing is published
 };
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version, state, fault, fault_text,
@@ -102,7 +103,8 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version,
                                                 last_verdict, ticks, skipped, lateness_avg_us,
                                                 lateness_max_us, force_N, velocity_rad_s, torque_Nm,
                                                 interface, link, bus_load, simulated, realtime, next_serial,
-                                                notice, panel, master, storage, check, judging, publishing)
+                                                notice, panel, master, storage, clock, check, judging,
+                                                publishing)
 
 /// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the
 /// same as a technician reads it.

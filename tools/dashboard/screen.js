@@ -135,7 +135,7 @@ function showStatus() {
   $('simulated').hidden = !status.simulated;
   showInterlocks();
   setText($('link'), `${status.interface} ${status.link} · ${fixed(status.force_N / 1000, 1)} kN · ${fixed(status.velocity_rad_s, 0)} rad/s · ${fixed(status.torque_Nm, 2)} N m`);
-  $('notices').replaceChildren(...[status.storage, status.notice, status.master, ...status.publishing.map(publishingTrouble)].filter(Boolean).map((text) => element('div', { textContent: text })));
+  $('notices').replaceChildren(...[status.storage, status.clock, status.notice, status.master, ...status.publishing.map(publishingTrouble)].filter(Boolean).map((text) => element('div', { textContent: text })));
   const fault = status.state === 'FAULT';
   $('fault').hidden = !fault;
   if (fault) {

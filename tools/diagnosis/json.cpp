@@ -65,7 +65,9 @@ ordered_json misfit_json(const Misfit& misfit) {
           {"depends_on", words::depends_on(misfit)},
           {"dependences", list_of(misfit.dependences, dependence_json)},
           {"tests_before", tests_json(misfit.tests_before)},
-          {"tests_after", tests_json(misfit.tests_after)}};
+          {"tests_after", tests_json(misfit.tests_after)},
+          {"explained_nats", misfit.explained_nats},
+          {"left_nats", misfit.left_nats}};
 }
 
 ordered_json ladder_json(const std::vector<Rung>& ladder) {

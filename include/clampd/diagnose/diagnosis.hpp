@@ -83,6 +83,9 @@ struct Misfit {
   std::vector<Dependence> dependences;   ///< strongest first; of what the final model leaves, or if it leaves
                                          ///< nothing of what the base model left
   std::optional<Location> location;      ///< of the strongest
+  /// What the named effects explain, and what their model still leaves; of drives without a force reading 0.
+  double explained_nats = 0.0;
+  double left_nats = 0.0;
 };
 
 /// Before: the base model; after: with the named effects; both fitted to the same runs, judged on runs held

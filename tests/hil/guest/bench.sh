@@ -72,6 +72,11 @@ TOML
   station_pid=$!
 }
 
+stop_station() {
+  kill $station_pid
+  wait $station_pid
+}
+
 wait_for_idle() { wait_until 10 "the station is IDLE" station_is IDLE; }
 
 station_is() { [ "$(status state)" = "$1" ]; }

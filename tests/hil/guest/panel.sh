@@ -11,7 +11,10 @@ use_panel() {
   # The kernel has words for a chip that is removed, and printing them on the console stops everything for milliseconds.
   dmesg -n 1
   pull $start_line 1
-  station_tables="[gpio]
+  station_tables=$panel_table
+}
+
+readonly panel_table="[gpio]
 chip = \"bench-gpio\"
 emergency_stop = { line = $stop_line, active = \"low\", bias = \"pull-up\" }
 fixture_closed = { line = $fixture_line, active = \"low\", bias = \"pull-up\" }
@@ -21,7 +24,6 @@ light_red = { line = $red_line }
 light_amber = { line = $amber_line }
 light_green = { line = $green_line }
 "
-}
 
 # pull LINE LEVEL
 pull() { echo "$1 $2" >$chip/pull || fail "cannot pull line $1"; }
@@ -162,8 +164,7 @@ emergency_stop_in_fault() {
 emergency_stop_in_init() {
   stop_brake
   wait_until 5 "the silent brake is a fault" fault_is feedback-stale
-  kill $station_pid
-  wait $station_pid
+  stop_station
   record_commands "emergency stop in INIT"
   start_station
   wait_until 5 "the station is in INIT" station_is INIT
@@ -205,10 +206,15 @@ chip_removed() {
   expect_levels "$name and put back" relay=0
 }
 
+find_guard() {
+  guard_pid=$(grep -lx clampd-relay /proc/[0-9]*/comm 2>/dev/null | cut -d/ -f3)
+  [ -n "$guard_pid" ]
+}
+
 relay_guard_stopped() {
   begin_fault "relay's guard stopped"
   wait_until 20 "the brake is clamped" clamped
-  guard_pid=$(pidof clampd-relay) || fail "the relay has no guard"
+  find_guard || fail "the relay has no guard"
   clocks=$(cause kill 19 "$guard_pid") # stopped, it cannot drop the relay: the drive must go by itself
   expect_record 3 ERROR interlock-lost $relay_line "enable relay"
   expect_end_of_drive "$clocks" 30 1
@@ -224,7 +230,7 @@ relay_guard_killed() {
   begin_fault "relay's guard killed"
   wait_until 20 "the brake is clamped" clamped
   [ "$(level $relay_line)" = 1 ] || fail "$name: the relay was not energised"
-  guard_pid=$(pidof clampd-relay) || fail "the relay has no guard"
+  find_guard || fail "the relay has no guard"
   clocks=$(cause kill 9 "$guard_pid")
   expect_exit_code_3
   expect_end_of_drive "$clocks" 30 1
@@ -233,15 +239,20 @@ relay_guard_killed() {
   expect_named "$(status panel/3/line)" $relay_line "enable relay"
 }
 
+# expect_relay_drops CAUSE...
+expect_relay_drops() {
+  [ "$(level $relay_line)" = 1 ] || fail "$name: the relay was not energised"
+  "$@"
+  sleep 0.03
+  [ "$(level $relay_line)" = 0 ] || fail "$name: the relay still holds after 30 ms"
+  echo "ok: $name: the relay dropped within 30 ms"
+}
+
 # Every thread of the station stands still, and its last command stays on the brake for the brake's own 20 ms.
 station_stopped() {
   begin_fault "station stopped"
   wait_until 20 "the brake is clamped" clamped
-  [ "$(level $relay_line)" = 1 ] || fail "$name: the relay was not energised"
-  kill -19 $station_pid
-  sleep 0.03
-  [ "$(level $relay_line)" = 0 ] || fail "$name: the relay still holds after 30 ms"
-  echo "ok: $name: the relay dropped within 30 ms"
+  expect_relay_drops kill -19 $station_pid
   sleep 0.5
   kill -18 $station_pid
   code=0
@@ -256,17 +267,13 @@ station_stopped() {
 station_killed_with_relay() {
   begin_fault "station killed"
   wait_until 20 "the brake is clamped" clamped
-  [ "$(level $relay_line)" = 1 ] || fail "$name: the relay was not energised"
-  kill -9 $station_pid
-  sleep 0.03
-  [ "$(level $relay_line)" = 0 ] || fail "$name: the relay still holds after 30 ms"
-  echo "ok: $name: the relay dropped within 30 ms"
+  expect_relay_drops kill -9 $station_pid
   wait $station_pid
   stop_recording
   code=0
   wait $check_pid || code=$?
   [ $code = 3 ] || fail "$name: exit code $code instead of 3"
-  pidof clampd-relay >/dev/null && fail "$name: the guard outlived its work"
+  find_guard && fail "$name: the guard outlived its work"
   start_station
   wait_for_idle
   check "$id" 2

@@ -35,6 +35,7 @@ check_while_the_clock_moves() {
   date -s "@$(($(date +%s) + $2))" >/dev/null
   end_of_check
   expect_pass "$1"
+  expect "the status says that it was set $1" sh -c "echo '$(status clock)' | grep -q 'the clock was set $1'"
   expect "no period skipped" [ "$(json_get "/tmp/$1.json" /timing/skipped)" = 0 ]
   at_most "its duration in s" "$(json_get "/tmp/$1.json" /duration_s)" 10
   newest_is "$1"

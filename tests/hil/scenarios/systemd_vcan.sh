@@ -4,18 +4,7 @@
 # qemu: -m 1536 -object can-bus,id=cb0 -device kvaser_pci,canbus=cb0
 . ./common.sh
 . ./bench.sh
-poll_s=0.5 # what polls here starts programs of a real Debian, and idle time costs nothing
-
-quietly() { "$@" >/tmp/command.log 2>&1 || { cat /tmp/command.log; return 1; }; }
-
-apt() { quietly apt-get -y --no-install-recommends -o Dpkg::Options::=--force-confdef -o Dpkg::Options::=--force-confold "$@"; }
-
-property() { systemctl show --value --property "$2" "$1"; }
-property_is() { [ "$(property "$1" "$2")" = "$3" ]; }
-in_journal() { journalctl --quiet --unit clampd --grep "$1" "${2:---priority=debug}" >/dev/null; }
-
-# As somebody who may use the station.
-technician() { runuser -u technician -- "$@"; }
+. ./installed.sh
 
 status() {
   technician clampctl status --json >/tmp/status.json 2>/tmp/status.err && json_get /tmp/status.json "/$1"
@@ -27,22 +16,17 @@ check() {
   technician clampctl run --serial "SYSTEMD-$1" --repeats "$2" --json "/tmp/$1.json" >"/tmp/$1.out" 2>&1 || code=$?
 }
 
-journal_on_failure() { [ $? = 0 ] || { cat /tmp/status.err; journalctl --no-pager --no-hostname --unit 'clampd*' --lines 40; }; }
-trap journal_on_failure EXIT
-
 installed_and_quiet() {
   echo "--- installed"
-  expect "apt installs the package" apt install ./clampd*.deb
+  install_station
   expect "its user is there" [ "$(id -un clampd)" = clampd ]
   expect "its user is in the panel's group" [ "$(id -nG clampd)" = "clampd gpio" ]
   expect "nothing starts by itself" property_is clampd ActiveState inactive
   expect "and nothing is enabled" [ "$(systemctl is-enabled clampd)" = disabled ]
-  useradd --groups clampd technician
 }
 
 waits_for_its_interface() {
   echo "--- without a CAN interface"
-  sed -i 's/^interface = "can0"/interface = "vcan0"/; s/^name = "station"/name = "virtual-bench"/' /etc/clampd/station.toml
   expect "enabled" quietly systemctl enable clampd
   systemctl start --no-block clampd
   wait_until 20 "it tries again" tried_again
