@@ -14,11 +14,11 @@ constexpr int kWidth = 8;  // derivatives of a Jet
 /// The same equations in plain numbers, and in numbers with derivatives by eight directions each: directions
 /// are states, parameters, torque.
 struct ExtendedBrake::Numbers {
-  Numbers(const ExtendedParameters& parameters, int states, std::span<const Place> places, int substeps)
-      : plain(parameters, substeps) {
+  Numbers(const ExtendedParameters& parameters, int states, std::span<const Place> places)
+      : plain(parameters) {
     const int directions = states + static_cast<int>(places.size()) + 1;
     for (int first = 0; first < directions; first += kWidth) {
-      ExtendedEquations<Jet>& chunk = chunks.emplace_back(parameters, substeps);
+      ExtendedEquations<Jet>& chunk = chunks.emplace_back(parameters);
       for (std::size_t i = 0; i < places.size(); ++i)
         seed(chunk.number(places[i]), states + static_cast<int>(i), first);
     }
@@ -35,7 +35,6 @@ struct ExtendedBrake::Numbers {
 ExtendedBrake::ExtendedBrake(const ExtendedParameters& parameters) {
   for (int i = 0; i < static_cast<int>(kParameterCount); ++i) places_.push_back({-1, i});
   std::size_t own = 0;
-  int substeps = 1;
   for (std::size_t e = 0; e < parameters.effects.size(); ++e) {
     const EffectValues& values = parameters.effects[e];
     CLAMPD_ASSERT(values.effect != nullptr);
@@ -46,11 +45,10 @@ ExtendedBrake::ExtendedBrake(const ExtendedParameters& parameters) {
     for (int i = 0; i < info.free_states; ++i) free_states_.push_back(states_ + i);
     states_ += info.states;
     own += info.parameters.size();
-    substeps = std::max(substeps, values.effect->substeps());
   }
   CLAMPD_ASSERT(states_ <= kMostStates && static_cast<int>(places_.size()) <= kMostParameters);
   CLAMPD_ASSERT(own <= ExtendedEquations<double>::kMostOwn);
-  numbers_ = std::make_unique<const Numbers>(parameters, states_, places_, substeps);
+  numbers_ = std::make_unique<const Numbers>(parameters, states_, places_);
 }
 
 ExtendedBrake::~ExtendedBrake() = default;

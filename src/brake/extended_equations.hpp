@@ -19,13 +19,12 @@ class ExtendedEquations {
  public:
   static constexpr int kMostOwn = 32;
 
-  ExtendedEquations(const ExtendedParameters& parameters, int substeps)
-      : fixed_(parameters.base.fixed), substeps_(substeps) {
+  explicit ExtendedEquations(const ExtendedParameters& parameters) : fixed_(parameters.base.fixed) {
     for (std::size_t i = 0; i < kParameterCount; ++i)
       theta_[i] = T(parameters.base.theta[static_cast<Eigen::Index>(i)]);
     int own = 0;
     for (const EffectValues& values : parameters.effects) {
-      parts_.push_back({values.effect, own, states_});
+      parts_.push_back({values.effect, values.effect, own, states_});
       for (const double value : values.values) own_[own++] = T(value);
       states_ += values.effect->info().states;
     }
@@ -56,7 +55,10 @@ class ExtendedEquations {
   void advance(T* states, const T& torque, const RowInput& row,
                const ExtendedEquations<double>& values) const {
     effects_detail::TorqueInput<T> input{torque, T(row.next_torque_Nm), row.gap_s};
-    const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * substeps_;
+    double plain[ExtendedBrake::kMostStates];
+    for (int i = 0; i < ExtendedBrake::kMostStates; ++i) plain[i] = effects_detail::value_of(states[i]);
+    const int steps =
+        std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * values.substeps(plain);
     T next[ExtendedBrake::kMostStates];
     std::copy(states, states + ExtendedBrake::kMostStates, next);
     each(states,
@@ -129,10 +131,19 @@ class ExtendedEquations {
     return time;
   }
 
+  /// Of 1 ms from `states` on.
+  int substeps(const double* states) const requires std::is_same_v<T, double> {
+    int most = 1;
+    for (const Part& part : parts_)
+      most = std::max(most, part.effect->substeps({own_ + part.own, states + part.state}, states[1]));
+    return most;
+  }
+
  private:
   /// An effect, and where its parameters and its states begin.
   struct Part {
     const effects_detail::Equations<T>* equations;
+    const Effect* effect;
     int own;
     int state;
   };
@@ -172,6 +183,8 @@ class ExtendedEquations {
     now.grip = T(now.direction);
     now.opposing_Nm = T(0.0);
     each(states, [&](const auto& effect, const auto& own, int) { effect.on_friction(now, own); });
+    const T speed = velocity / theta_[ws];
+    now.level_Nm = now.coulomb_Nm + (now.static_Nm - now.coulomb_Nm) / (1.0 + speed * speed);
     now.torque_Nm = torque;
     now.ratio_m_rad = T(fixed_.ratio_m_rad);
     now.inertia_kg_m2 = T(fixed_.inertia_kg_m2);
@@ -179,10 +192,8 @@ class ExtendedEquations {
   }
 
   T net_torque(const effects_detail::Instant<T>& now) const {
-    const T speed = now.velocity / theta_[ws];
-    const T level = now.coulomb_Nm + (now.static_Nm - now.coulomb_Nm) / (1.0 + speed * speed);
     return now.torque_Nm - now.ratio_m_rad * now.force_N - now.viscous_Nm_s_rad * now.velocity -
-           now.grip * level - now.opposing_Nm;
+           now.grip * now.level_Nm - now.opposing_Nm;
   }
   T acceleration_of(const effects_detail::Instant<T>& now) const {
     return net_torque(now) / now.inertia_kg_m2;
@@ -265,7 +276,6 @@ class ExtendedEquations {
   FixedParameters fixed_;
   T theta_[kParameterCount];
   T own_[kMostOwn];
-  int substeps_;
   int states_ = 2;
 };
 

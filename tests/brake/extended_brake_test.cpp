@@ -94,8 +94,34 @@ TEST_P(EveryEffect, RecoversTheBaseModelAtItsNeutralValue) {
   }
 }
 
-TEST_P(EveryEffect, HasExactDerivativesThroughStickAndSlip) {
-  const EffectValues values = visible(*GetParam());
+/// Every effect with each of its choices.
+std::vector<EffectValues> every_form() {
+  std::vector<EffectValues> forms;
+  for (const Effect* effect : effects()) {
+    forms.push_back(visible(*effect));
+    const auto& parameters = info_of(*effect).parameters;
+    for (std::size_t i = 0; i < parameters.size(); ++i) {
+      if (is_estimated(parameters[i])) continue;
+      for (std::size_t other = 1; other < parameters[i].starts.size(); ++other) {
+        forms.push_back(visible(*effect));
+        forms.back().values[i] = parameters[i].starts[other];
+      }
+    }
+  }
+  return forms;
+}
+
+std::string name_of_form(const ::testing::TestParamInfo<EffectValues>& form) {
+  std::string name(info_of(*form.param.effect).name);
+  std::replace(name.begin(), name.end(), '-', '_');
+  return name + "_" + std::to_string(form.index);
+}
+
+class EveryForm : public ::testing::TestWithParam<EffectValues> {};
+INSTANTIATE_TEST_SUITE_P(Catalogue, EveryForm, ::testing::ValuesIn(every_form()), name_of_form);
+
+TEST_P(EveryForm, HasExactDerivativesThroughStickAndSlip) {
+  const EffectValues values = GetParam();
   const ExtendedParameters at{BrakeParameters{}, {values}};
   const ExtendedBrake brake(at);
   const int n = brake.states();
@@ -163,6 +189,47 @@ TEST_P(EveryEffect, HasExactDerivativesThroughStickAndSlip) {
   }
   EXPECT_GT(compared, 1000);
   EXPECT_LT(wrong, compared / 200);
+}
+
+/// The model of Canudas de Wit, Olsson, Astrom and Lischinsky (1995) as it is written, in steps of 0.1 us.
+TEST(Presliding, IsLuGresModel) {
+  constexpr double kDeflection_rad = 0.0006, kDamping = 0.4;
+  const BrakeParameters nominal;
+  const auto& theta = nominal.theta;
+  const double inertia = nominal.fixed.inertia_kg_m2;
+  const double stiffness = theta[TC] / kDeflection_rad;
+  const double damping = 2.0 * kDamping * std::sqrt(stiffness * inertia);
+  const ExtendedBrake brake({nominal, {{find_effect("presliding"), {kDeflection_rad, 3, kDamping}}}});
+  ExtendedBrake::State state = brake.settled(-4.0, 0.0, row_at(0));
+  double position = -4.0, velocity = 0.0, bristles = state[2] * kDeflection_rad;
+  double fastest = 0.0;
+  int reversals = 0;
+  for (int k = 0; k < 360; ++k) {
+    const Reading reading = brake.read(state, row_at(k));
+    const double clamped = std::max(0.0, position);
+    ASSERT_NEAR(reading.force_N, clamped * clamped * (theta[k1] * clamped + theta[k2]), 0.5) << k;
+    ASSERT_NEAR(reading.velocity_rad_s, velocity, 0.1) << k;
+    const double before = velocity;
+    constexpr int kSteps = 10000;
+    constexpr double kFine_s = kStep_s / kSteps;
+    for (int i = 0; i < kSteps; ++i) {
+      const double x = std::max(0.0, position);
+      const double force = x * x * (theta[k1] * x + theta[k2]);
+      const double speed = velocity / theta[ws];
+      const double level = theta[TC] + (theta[Ts0] + theta[mus] * force - theta[TC]) / (1.0 + speed * speed);
+      const double bending = velocity - stiffness * std::abs(velocity) / level * bristles;
+      const double friction = stiffness * bristles + damping * bending + theta[Tv] * velocity;
+      const double net = torque_at(k * kStep_s) - nominal.fixed.ratio_m_rad * force - friction;
+      bristles += kFine_s * bending;
+      velocity += kFine_s * net / inertia;
+      position += kFine_s * velocity;
+    }
+    fastest = std::max(fastest, std::abs(velocity));
+    reversals += before * velocity < 0.0 ? 1 : 0;
+    state = brake.advance(state, row_at(k));
+  }
+  EXPECT_GT(fastest, 50.0);
+  EXPECT_GT(reversals, 2);
 }
 
 TEST(ExtendedParameters, SurviveAFile) {

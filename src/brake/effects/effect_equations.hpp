@@ -50,6 +50,7 @@ struct Instant {
   T force_N;    ///< of the pads
   // friction (4), (5)
   T coulomb_Nm, static_Nm, viscous_Nm_s_rad;
+  T level_Nm;     ///< of (4) without its sign, once all effects have had their share in the above
   T grip;         ///< what the friction level is multiplied with: the direction
   T opposing_Nm;  ///< any further torque against the motor's
   // torque balance (2)
@@ -114,8 +115,11 @@ T turned_round(const T& state, const T& travel, double direction, const T& reach
 class Effect : public effects_detail::Equations<double>, public effects_detail::Equations<Jet> {
  public:
   virtual const EffectInfo& info() const = 0;
-  /// Of 1 ms: more than one where the effect is stiff.
-  virtual int substeps() const { return 1; }
+  /// Of 1 ms from here on: more than one where the effect is stiff.
+  virtual int substeps(const effects_detail::Own<double>& own, double velocity_rad_s) const {
+    (void)own, (void)velocity_rad_s;
+    return 1;
+  }
   virtual std::vector<double> starts(std::size_t parameter, std::span<const Run>) const {
     return info().parameters[parameter].starts;
   }

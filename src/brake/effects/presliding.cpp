@@ -1,3 +1,6 @@
+#include <algorithm>
+#include <cmath>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -6,56 +9,109 @@ namespace {
 
 using Role = EffectParameter::Role;
 
+/// Bristles bend before they slide. By Dahl's law and the elastic one they give way by the same deflection at
+/// any level of friction; LuGre's have one stiffness (Canudas de Wit, Olsson, Astrom, Lischinsky 1995).
 class Presliding final : public EquationsOf<Presliding> {
+  enum Parameter { kDeflection, kLaw, kDamping };
+  enum class Law { Dahl = 1, Elastic, LuGre };
+
  public:
   const EffectInfo& info() const override {
-    static const EffectInfo kInfo{.name = "presliding",
-                                  .location = Location::TorqueBalance,
-                                  .cause = "the friction gives way elastically before it slides",
-                                  .excitation = "reversals, best under load",
-                                  .parameters = {{.name = "deflection",
-                                                  .unit = "rad",
-                                                  .description = "at which the friction is fully built up",
-                                                  .role = Role::Shape,
-                                                  .lower = 0.00001,
-                                                  .upper = 3,
-                                                  .scale = 0.2,
-                                                  .logarithmic = true,
-                                                  .starts = {0.0001, 0.0004, 0.0015, 0.006, 0.025, 0.1, 0.4}},
-                                                 {.name = "law",
-                                                  .unit = "",
-                                                  .description = "1 Dahl's; 2 elastic until it slides",
-                                                  .role = Role::Refinement,
-                                                  .lower = 1,
-                                                  .upper = 2,
-                                                  .starts = {1, 2}}},
-                                  .states = 1};
+    static const EffectInfo kInfo{
+        .name = "presliding",
+        .location = Location::TorqueBalance,
+        .cause = "the friction gives way elastically before it slides",
+        .excitation = "reversals, best under load",
+        .parameters = {{.name = "deflection",
+                        .unit = "rad",
+                        .description = "at which the friction is fully built up (LuGre: a friction of TC)",
+                        .role = Role::Shape,
+                        .lower = 0.00001,
+                        .upper = 3,
+                        .scale = 0.2,
+                        .logarithmic = true,
+                        .starts = {0.0001, 0.0004, 0.0015, 0.006, 0.025, 0.1, 0.4}},
+                       {.name = "law",
+                        .unit = "",
+                        .description = "1 Dahl's; 2 elastic until it slides; 3 LuGre's",
+                        .role = Role::Refinement,
+                        .lower = 1,
+                        .upper = 3,
+                        .starts = {1, 3, 2}},
+                       {.name = "damping",
+                        .unit = "",
+                        .description = "of the bristles with the inertia; 1 is critical",
+                        .role = Role::Shape,
+                        .lower = 0,
+                        .upper = 3,
+                        .scale = 0.3,
+                        .starts = {0.1}}},
+        // How far the bristles are bent, over the deflection; the level of friction then, over TC.
+        .states = 2};
     return kInfo;
   }
-  int substeps() const override { return 4; }
-  /// The bristles' deflection is a function of the travel.
-  template <class T>
-  static T grip(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) {
-    if (effects_detail::value_of(own.parameters[1]) < 1.5)
-      return effects_detail::turned_round(own.states[0], instant.travel, instant.direction,
-                                          own.parameters[0]);
-    const T deflected = own.states[0] + instant.travel / own.parameters[0];
-    if (deflected > 1.0) return T(1.0);
-    return deflected < -1.0 ? T(-1.0) : deflected;
+  int substeps(const effects_detail::Own<double>& own, double velocity_rad_s) const override {
+    // While the brake may reverse within 1 ms, and until the travel since then has built friction up, at the
+    // largest acceleration and the highest level of friction that there are.
+    constexpr double kReversal_rad_s = 12.0;
+    constexpr double kBuiltUp_rad_s = 1000.0;  // over the root of the deflection
+    constexpr double kFine = 0.2;              // the same
+    const double root = std::sqrt(own.parameters[kDeflection]);
+    if (std::abs(velocity_rad_s) > std::max(kReversal_rad_s, kBuiltUp_rad_s * root)) return 2;
+    return std::clamp(static_cast<int>(std::ceil(kFine / root)), 4, 24);
   }
   template <class T>
-  void friction(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
-    instant.grip = grip(instant, own);
+  void balance(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
+    const Law law = law_of(own);
+    const T bristles = bent(instant, own);
+    const T level = law == Law::LuGre ? instant.coulomb_Nm : instant.level_Nm;
+    instant.grip = law == Law::LuGre ? T(bristles * (level / instant.level_Nm)) : bristles;
+    T yielding = 1.0 - instant.direction * instant.grip;  // the share of the motion that bends them further
+    if (law == Law::Elastic) yielding = instant.direction * bristles < 1.0 ? T(1.0) : T(0.0);
+    using std::sqrt;
+    const T critical = 2.0 * sqrt(level / own.parameters[kDeflection] * instant.inertia_kg_m2);
+    instant.opposing_Nm += own.parameters[kDamping] * critical * instant.velocity * yielding;
   }
   template <class T>
   void remember(const effects_detail::Instant<T>& end, const effects_detail::Own<T>& own, T* states) const {
-    states[0] = grip(end, own);
+    states[0] = bent(end, own);
+    states[1] = end.level_Nm / end.coulomb_Nm;
   }
   template <class T>
-  void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>&, T* states) const {
-    states[0] = (instant.torque_Nm - instant.ratio_m_rad * instant.force_N) / instant.static_Nm;
-    if (states[0] > 1.0) states[0] = T(1.0);
-    if (states[0] < -1.0) states[0] = T(-1.0);
+  void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own, T* states) const {
+    const T unit = law_of(own) == Law::LuGre ? instant.coulomb_Nm : instant.static_Nm;
+    const T most = instant.static_Nm / unit;
+    states[0] = (instant.torque_Nm - instant.ratio_m_rad * instant.force_N) / unit;
+    if (states[0] > most) states[0] = most;
+    if (states[0] < -most) states[0] = -most;
+    states[1] = instant.level_Nm / instant.coulomb_Nm;
+  }
+
+ private:
+  template <class T>
+  static Law law_of(const effects_detail::Own<T>& own) {
+    return static_cast<Law>(std::lround(effects_detail::value_of(own.parameters[kLaw])));
+  }
+  /// How far the bristles are bent, over the deflection: a function of the travel.
+  template <class T>
+  static T bent(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) {
+    const T& deflection = own.parameters[kDeflection];
+    const Law law = law_of(own);
+    if (law == Law::Dahl)
+      return effects_detail::turned_round(own.states[0], instant.travel, instant.direction, deflection);
+    if (law == Law::LuGre) {
+      // They follow a level that changes steadily over the stretch.
+      const T level = instant.level_Nm / instant.coulomb_Nm;
+      const T reaches = instant.direction * instant.travel / (deflection * level);
+      using std::exp;
+      const T left = exp(-reaches);
+      const T lagging = reaches > 1e-4 ? T((1.0 - left) / reaches) : T(1.0 - 0.5 * reaches);
+      return instant.direction * (level - lagging * (level - own.states[1])) +
+             (own.states[0] - instant.direction * own.states[1]) * left;
+    }
+    const T bent = own.states[0] + instant.travel / deflection;
+    if (bent > 1.0) return T(1.0);
+    return bent < -1.0 ? T(-1.0) : bent;
   }
 };
 
