@@ -57,7 +57,7 @@ class Presliding final : public EquationsOf<Presliding> {
     constexpr double kBuiltUp_rad_s = 1000.0;  // over the root of the deflection
     constexpr double kFine = 0.2;              // the same
     const double root = std::sqrt(own.parameters[kDeflection]);
-    if (std::abs(velocity_rad_s) > std::max(kReversal_rad_s, kBuiltUp_rad_s * root)) return 2;
+    if (std::abs(velocity_rad_s) > std::max(kReversal_rad_s, kBuiltUp_rad_s * root)) return 4;
     return std::clamp(static_cast<int>(std::ceil(kFine / root)), 4, 24);
   }
   template <class T>
