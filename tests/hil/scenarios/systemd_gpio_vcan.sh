@@ -88,6 +88,7 @@ emergency_stop_in RELEASING releasing
 fault_repeats=20
 emergency_stop_idle
 emergency_stop_in_fault
+sed -i 's/^clearance_rad = 30$/clearance_rad = 6/' /etc/clampd/station.toml # from its next start on
 emergency_stop_in_init
 panel_fault "fixture opened" fixture-open $fixture_line "fixture closed" \
   "cause write $chip/pull '$fixture_line 1'" "pull $fixture_line 0" 25
