@@ -27,6 +27,7 @@ class ExtendedEquations {
       parts_.push_back({values.effect, values.effect, own, states_});
       for (const double value : values.values) own_[own++] = T(value);
       states_ += values.effect->info().states;
+      is_stiff_ = is_stiff_ || values.effect->is_stiff();
     }
   }
 
@@ -56,9 +57,9 @@ class ExtendedEquations {
                const ExtendedEquations<double>& values) const {
     effects_detail::TorqueInput<T> input{torque, T(row.next_torque_Nm), row.gap_s};
     double plain[ExtendedBrake::kMostStates];
-    for (int i = 0; i < ExtendedBrake::kMostStates; ++i) plain[i] = effects_detail::value_of(states[i]);
-    const int steps =
-        std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * values.substeps(plain);
+    for (int i = 0; i < states_; ++i) plain[i] = effects_detail::value_of(states[i]);
+    const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) *
+                      values.substeps(plain, row.torque_Nm, row);
     T next[ExtendedBrake::kMostStates];
     std::copy(states, states + ExtendedBrake::kMostStates, next);
     each(states,
@@ -132,10 +133,15 @@ class ExtendedEquations {
   }
 
   /// Of 1 ms from `states` on.
-  int substeps(const double* states) const requires std::is_same_v<T, double> {
+  int substeps(const double* states, double torque_Nm,
+               const RowInput& row) const requires std::is_same_v<T, double> {
+    if (!is_stiff_) return 1;
+    effects_detail::Instant<double> now = start_of(row, states[1] < 0.0 ? -1.0 : 1.0);
+    complete(now, states[0], states[1], 0.0, 0.0, torque_Nm, states);
     int most = 1;
     for (const Part& part : parts_)
-      most = std::max(most, part.effect->substeps({own_ + part.own, states + part.state}, states[1]));
+      most = std::max(
+          most, part.effect->substeps({own_ + part.own, states + part.state}, now, acceleration_of(now)));
     return most;
   }
 
@@ -277,6 +283,7 @@ class ExtendedEquations {
   T theta_[kParameterCount];
   T own_[kMostOwn];
   int states_ = 2;
+  bool is_stiff_ = false;
 };
 
 }  // namespace clampd

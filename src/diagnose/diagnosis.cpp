@@ -26,7 +26,7 @@ constexpr double kFalseResidual = 0.003;
 /// What no candidate explains must be worth so many nats before it counts, and so large a share of what the
 /// named effects explain: a real effect never has quite the candidate's form.
 constexpr double kLeastUnexplained_nats = 8.0;
-constexpr double kUnexplainedShare = 0.08;
+constexpr double kUnexplainedShare = 0.04;
 /// So many effects that leave so many times what they explain are none of them what is wrong: neither further
 /// ones nor the question which of them help most are worth the time.
 constexpr std::size_t kFewestBeforeLost = 2;

@@ -115,9 +115,12 @@ T turned_round(const T& state, const T& travel, double direction, const T& reach
 class Effect : public effects_detail::Equations<double>, public effects_detail::Equations<Jet> {
  public:
   virtual const EffectInfo& info() const = 0;
-  /// Of 1 ms from here on: more than one where the effect is stiff.
-  virtual int substeps(const effects_detail::Own<double>& own, double velocity_rad_s) const {
-    (void)own, (void)velocity_rad_s;
+  /// Whether substeps() may ask for more than one.
+  virtual bool is_stiff() const { return false; }
+  /// Of the next 1 ms, from how things are and what the brake's acceleration (rad/s^2) is.
+  virtual int substeps(const effects_detail::Own<double>& own, const effects_detail::Instant<double>& now,
+                       double acceleration) const {
+    (void)own, (void)now, (void)acceleration;
     return 1;
   }
   virtual std::vector<double> starts(std::size_t parameter, std::span<const Run>) const {

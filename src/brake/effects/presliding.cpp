@@ -50,15 +50,22 @@ class Presliding final : public EquationsOf<Presliding> {
         .states = 2};
     return kInfo;
   }
-  int substeps(const effects_detail::Own<double>& own, double velocity_rad_s) const override {
-    // While the brake may reverse within 1 ms, and until the travel since then has built friction up, at the
-    // largest acceleration and the highest level of friction that there are.
-    constexpr double kReversal_rad_s = 12.0;
-    constexpr double kBuiltUp_rad_s = 1000.0;  // over the root of the deflection
-    constexpr double kFine = 0.2;              // the same
-    const double root = std::sqrt(own.parameters[kDeflection]);
-    if (std::abs(velocity_rad_s) > std::max(kReversal_rad_s, kBuiltUp_rad_s * root)) return 4;
-    return std::clamp(static_cast<int>(std::ceil(kFine / root)), 4, 24);
+  bool is_stiff() const override { return true; }
+  int substeps(const effects_detail::Own<double>& own, const effects_detail::Instant<double>& now,
+               double acceleration) const override {
+    constexpr int kFewest = 4, kMost = 24;
+    constexpr double kRow_s = 1e-3;
+    constexpr double kBuiltUp = 0.99;
+    constexpr double kResolution = 0.1;  // of the travel that builds friction up
+    const double change = std::abs(acceleration) * kRow_s;
+    const bool may_reverse = now.velocity * acceleration <= 0.0 && std::abs(now.velocity) < 2.0 * change;
+    if (!may_reverse && now.direction * now.grip > kBuiltUp)
+      return law_of(own) == Law::LuGre ? kFewest : 1;  // whose bristles follow the level of friction
+    // The slowest part of the motion, around a reversal, decides how friction is built up: travel goes with
+    // time squared.
+    const double travel = (std::abs(now.velocity) + 0.5 * change) * kRow_s;
+    const double reach = own.parameters[kDeflection] * std::max(1.0, now.level_Nm / now.coulomb_Nm);
+    return std::clamp(static_cast<int>(std::ceil(std::sqrt(travel / (kResolution * reach)))), kFewest, kMost);
   }
   template <class T>
   void balance(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
