@@ -26,9 +26,8 @@ std::string ClockWatch::look(assembly::Instant now) {
   const std::int64_t step_ns = offset_ns - std::exchange(offset_ns_, offset_ns).value_or(offset_ns);
   if (std::abs(step_ns) < kNoticed_ns) return {};
   return fmt::format(
-      "the clock was set {} by {}: time stamps before and after do not compare; the history keeps the order "
-      "in "
-      "which brakes were checked",
+      "the clock was set {} by {}: time stamps before and after do not compare; the history keeps the "
+      "order in which brakes were checked",
       step_ns > 0 ? "forward" : "back",
       in_words(static_cast<double>(std::abs(step_ns)) / static_cast<double>(kNanosecondsPerSecond)));
 }

@@ -46,7 +46,7 @@ class Presliding final : public EquationsOf<Presliding> {
                         .upper = 3,
                         .scale = 0.3,
                         .starts = {0.1}}},
-        // How far the bristles are bent, over the deflection; the level of friction then, over TC.
+        // How far the bristles are bent, over the deflection; LuGre's: the level of friction then, over TC.
         .states = 2};
     return kInfo;
   }
@@ -82,7 +82,7 @@ class Presliding final : public EquationsOf<Presliding> {
   template <class T>
   void remember(const effects_detail::Instant<T>& end, const effects_detail::Own<T>& own, T* states) const {
     states[0] = bent(end, own);
-    states[1] = end.level_Nm / end.coulomb_Nm;
+    if (law_of(own) == Law::LuGre) states[1] = end.level_Nm / end.coulomb_Nm;
   }
   template <class T>
   void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own, T* states) const {
@@ -91,7 +91,7 @@ class Presliding final : public EquationsOf<Presliding> {
     states[0] = (instant.torque_Nm - instant.ratio_m_rad * instant.force_N) / unit;
     if (states[0] > most) states[0] = most;
     if (states[0] < -most) states[0] = -most;
-    states[1] = instant.level_Nm / instant.coulomb_Nm;
+    states[1] = law_of(own) == Law::LuGre ? T(instant.level_Nm / instant.coulomb_Nm) : T(1.0);
   }
 
  private:
