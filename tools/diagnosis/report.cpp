@@ -144,13 +144,6 @@ void add_result(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
 
 // ---------------------------------------------------------------------------------------------------------
 
-std::string description_of(const std::string& effect, const std::string& parameter) {
-  if (const Effect* const known = find_effect(effect))
-    for (const EffectParameter& described : info_of(*known).parameters)
-      if (described.name == parameter) return std::string(described.description);
-  return "";
-}
-
 void add_effects(Page& page, const Diagnosis& diagnosis) {
   if (!is_extended(diagnosis)) return;
   page.section(diagnosis.effects.size() == 1 ? "The effect" : "The effects");
@@ -158,7 +151,7 @@ void add_effects(Page& page, const Diagnosis& diagnosis) {
               .columns = {{"Effect"}, {"Quantity"}, {"Meaning"}, {"Size", true}}};
   for (const NamedEffect& effect : diagnosis.effects)
     for (const EstimatedParameter& parameter : effect.parameters)
-      sizes.rows.push_back({effect.name, parameter.name, description_of(effect.name, parameter.name),
+      sizes.rows.push_back({effect.name, parameter.name, words::meaning(effect.name, parameter.name),
                             typographic(words::quantity(parameter))});
   page.table(sizes);
   Table evidence{

@@ -63,8 +63,12 @@ void add_effects(Text& text, const Diagnosis& diagnosis) {
       begun = true;
       const std::string cause = words::cause(effect.name);
       text.add("  {}{}{}\n", effect.name, cause.empty() ? "" : ": ", cause);
-      for (const EstimatedParameter& parameter : effect.parameters)
-        text.add("    {:<14} {}\n", parameter.name, words::quantity(parameter));
+      for (const EstimatedParameter& parameter : effect.parameters) {
+        // A choice is a bare number, which tells nobody anything.
+        const std::string meaning =
+            std::isfinite(parameter.sd) ? "" : "  " + words::meaning(effect.name, parameter.name);
+        text.add("    {:<14} {}{}\n", parameter.name, words::quantity(parameter), meaning);
+      }
       text.add("    in {}; evidence {:.0f} nats; by chance: {}\n", words::place(effect.location),
                effect.log_likelihood_gain, words::chance(effect.p_value));
     }

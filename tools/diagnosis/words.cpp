@@ -81,6 +81,13 @@ std::string quantity(const EstimatedParameter& parameter) {
              : fmt::format("{} {}", number, typographic(std::string(scale.unit)));
 }
 
+std::string meaning(const std::string& effect, const std::string& parameter) {
+  if (const Effect* const known = find_effect(effect))
+    for (const EffectParameter& described : info_of(*known).parameters)
+      if (described.name == parameter) return std::string(described.description);
+  return "";
+}
+
 std::string quantities(std::span<const EstimatedParameter> parameters) {
   std::string text;
   for (const EstimatedParameter& parameter : parameters)

@@ -16,6 +16,9 @@ std::string with_sd(double value, double sd);
 /// The same in a unit that people read with ease: "3.02 ± 0.01 ms" for seconds.
 std::string quantity(const EstimatedParameter& parameter);
 
+/// What an effect's parameter means; empty if the catalogue does not know them.
+std::string meaning(const std::string& effect, const std::string& parameter);
+
 /// "k1 -0.35, k2 35.2": as `quantity`, each with its name.
 std::string quantities(std::span<const EstimatedParameter> parameters);
 
