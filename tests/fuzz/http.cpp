@@ -1,7 +1,6 @@
 // Whatever may be sent to the control API: bytes of a connection, in front of the real server and the real
 // daemon, whose loop stands still, so that no check can begin.
 
-#include <arpa/inet.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -20,6 +19,7 @@
 #include "clampd/archive/store.hpp"
 #include "clampd/base/assert.hpp"
 #include "support/check_records.hpp"
+#include "support/network.hpp"
 #include "support/temporary_directory.hpp"
 #include "tools/clampd/control_server.hpp"
 #include "tools/clampd/daemon.hpp"
@@ -59,12 +59,10 @@ class Station {
   /// What comes back for these bytes, after which the sender has nothing more to say.
   std::string answer(const std::uint8_t* data, std::size_t size) const {
     const int socket = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_port = htons(static_cast<std::uint16_t>(server_->port()));
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    CLAMPD_ASSERT(::connect(socket, reinterpret_cast<sockaddr*>(&address), sizeof address) == 0);
+    const sockaddr_in address = support::loopback(server_->port());
     // The fuzzer's own alarm interrupts calls.
+    CLAMPD_ASSERT(TEMP_FAILURE_RETRY(
+                      ::connect(socket, reinterpret_cast<const sockaddr*>(&address), sizeof address)) == 0);
     for (std::size_t sent = 0; sent < size;) {
       const ssize_t count = TEMP_FAILURE_RETRY(::send(socket, data + sent, size - sent, MSG_NOSIGNAL));
       if (count <= 0) break;
