@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <vector>
 
@@ -24,7 +25,7 @@ class ExtendedEquations {
       theta_[i] = T(parameters.base.theta[static_cast<Eigen::Index>(i)]);
     int own = 0;
     for (const EffectValues& values : parameters.effects) {
-      parts_.push_back({values.effect, values.effect, own, states_});
+      parts_.push_back({values.effect, own, states_});
       for (const double value : values.values) own_[own++] = T(value);
       states_ += values.effect->info().states;
       is_stiff_ = is_stiff_ || values.effect->is_stiff();
@@ -56,10 +57,8 @@ class ExtendedEquations {
   void advance(T* states, const T& torque, const RowInput& row,
                const ExtendedEquations<double>& values) const {
     effects_detail::TorqueInput<T> input{torque, T(row.next_torque_Nm), row.gap_s};
-    double plain[ExtendedBrake::kMostStates];
-    for (int i = 0; i < states_; ++i) plain[i] = effects_detail::value_of(states[i]);
-    const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) *
-                      values.substeps(plain, row.torque_Nm, row);
+    const int substeps = is_stiff_ ? values.substeps(plain(states).data(), row.torque_Nm, row) : 1;
+    const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * substeps;
     T next[ExtendedBrake::kMostStates];
     std::copy(states, states + ExtendedBrake::kMostStates, next);
     each(states,
@@ -135,7 +134,6 @@ class ExtendedEquations {
   /// Of 1 ms from `states` on.
   int substeps(const double* states, double torque_Nm,
                const RowInput& row) const requires std::is_same_v<T, double> {
-    if (!is_stiff_) return 1;
     effects_detail::Instant<double> now = start_of(row, states[1] < 0.0 ? -1.0 : 1.0);
     complete(now, states[0], states[1], 0.0, 0.0, torque_Nm, states);
     int most = 1;
@@ -148,16 +146,23 @@ class ExtendedEquations {
  private:
   /// An effect, and where its parameters and its states begin.
   struct Part {
-    const effects_detail::Equations<T>* equations;
     const Effect* effect;
     int own;
     int state;
   };
 
+  std::array<double, ExtendedBrake::kMostStates> plain(const T* states) const {
+    std::array<double, ExtendedBrake::kMostStates> values{};
+    for (int i = 0; i < states_; ++i)
+      values[static_cast<std::size_t>(i)] = effects_detail::value_of(states[i]);
+    return values;
+  }
+
   template <class Act>
   void each(const T* states, const Act& act) const {
     for (const Part& part : parts_)
-      act(*part.equations, effects_detail::Own<T>{own_ + part.own, states + part.state}, part.state);
+      act(static_cast<const effects_detail::Equations<T>&>(*part.effect),
+          effects_detail::Own<T>{own_ + part.own, states + part.state}, part.state);
   }
 
   effects_detail::Instant<T> start_of(const RowInput& row, double direction) const {
@@ -257,9 +262,7 @@ class ExtendedEquations {
         finish(states, reached, left, torque, row, direction);
         return;
       }
-      double plain[ExtendedBrake::kMostStates];
-      for (int i = 0; i < ExtendedBrake::kMostStates; ++i) plain[i] = effects_detail::value_of(states[i]);
-      T time(values.crossing_time(plain, effects_detail::value_of(torque), row, direction,
+      T time(values.crossing_time(plain(states).data(), effects_detail::value_of(torque), row, direction,
                                   effects_detail::value_of(left), end_velocity));
       if constexpr (!std::is_same_v<T, double>) {
         // The implicit function theorem on the located instant: one step of Newton's in these numbers.
