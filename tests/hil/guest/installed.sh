@@ -8,6 +8,9 @@ apt() { quietly apt-get -y --no-install-recommends -o Dpkg::Options::=--force-co
 
 property() { systemctl show --value --property "$2" "$1"; }
 property_is() { [ "$(property "$1" "$2")" = "$3" ]; }
+tried_again() { [ "$(property clampd NRestarts)" -ge 2 ]; }
+# More often than $restarts.
+restarted() { [ "$(property clampd NRestarts)" -gt "$restarts" ]; }
 in_journal() { journalctl --quiet --unit clampd --grep "$1" "${2:---priority=debug}" >/dev/null; }
 
 # As somebody who may use the station.

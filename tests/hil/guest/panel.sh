@@ -161,6 +161,17 @@ emergency_stop_in_fault() {
   release_stop
 }
 
+# In every state but INIT, which needs another start.
+emergency_stop_of_running_station() {
+  emergency_stop_in ARMED at-enable
+  emergency_stop_in RUNNING clamped
+  fault_repeats=2
+  emergency_stop_in RELEASING releasing
+  fault_repeats=20
+  emergency_stop_idle
+  emergency_stop_in_fault
+}
+
 emergency_stop_in_init() {
   stop_brake
   wait_until 5 "the silent brake is a fault" fault_is feedback-stale
@@ -186,6 +197,13 @@ panel_fault() {
   eval "$6" || fail "$name: cannot remove the cause"
   wait_until 10 "the fault can be cleared" clearable
   clear_fault
+}
+
+lines_pulled_in_a_check() {
+  panel_fault "fixture opened" fixture-open $fixture_line "fixture closed" \
+    "cause write $chip/pull '$fixture_line 1'" "pull $fixture_line 0" 25
+  panel_fault "line unreadable" interlock-lost $stop_line "emergency stop" \
+    "cause write $chip/broken $((1 << stop_line))" "echo 0 >$chip/broken" 5
 }
 
 # Linux 6.1 warns at length when a chip goes whose interrupts are in use, and holds the processor for it: the first cause

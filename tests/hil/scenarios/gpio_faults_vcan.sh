@@ -11,10 +11,7 @@ start_brake /tmp/trace.csv
 start_station
 wait_for_idle
 
-panel_fault "fixture opened" fixture-open $fixture_line "fixture closed" \
-  "cause write $chip/pull '$fixture_line 1'" "pull $fixture_line 0" 25
-panel_fault "line unreadable" interlock-lost $stop_line "emergency stop" \
-  "cause write $chip/broken $((1 << stop_line))" "echo 0 >$chip/broken" 5
+lines_pulled_in_a_check
 chip_removed
 relay_guard_stopped
 station_stopped

@@ -34,11 +34,5 @@ wait_until 30 "the check passes" verdict_is PASS
 [ "$(status serial)" = HIL-NEXT ] || fail "the check is of '$(status serial)'"
 expect_levels "passed" relay=0 red=0 amber=0 green=1
 
-emergency_stop_in ARMED at-enable
-emergency_stop_in RUNNING clamped
-fault_repeats=2
-emergency_stop_in RELEASING releasing
-fault_repeats=20
-emergency_stop_idle
-emergency_stop_in_fault
+emergency_stop_of_running_station
 emergency_stop_in_init

@@ -16,8 +16,6 @@ start_station() {
   station_pid=$(property clampd MainPID)
 }
 stop_station() { expect "the service stops" systemctl stop clampd; }
-restarted() { [ "$(property clampd NRestarts)" -gt "$restarts" ]; }
-tried_again() { [ "$(property clampd NRestarts)" -ge 2 ]; }
 
 waits_for_its_panel() {
   echo "--- without a panel"
@@ -81,19 +79,10 @@ service_killed() {
 
 waits_for_its_panel
 poll_s=0.02 # the brake is clamped for 0.3 s
-emergency_stop_in ARMED at-enable
-emergency_stop_in RUNNING clamped
-fault_repeats=2
-emergency_stop_in RELEASING releasing
-fault_repeats=20
-emergency_stop_idle
-emergency_stop_in_fault
+emergency_stop_of_running_station
 sed -i 's/^clearance_rad = 30$/clearance_rad = 6/' /etc/clampd/station.toml # from its next start on
 emergency_stop_in_init
-panel_fault "fixture opened" fixture-open $fixture_line "fixture closed" \
-  "cause write $chip/pull '$fixture_line 1'" "pull $fixture_line 0" 25
-panel_fault "line unreadable" interlock-lost $stop_line "emergency stop" \
-  "cause write $chip/broken $((1 << stop_line))" "echo 0 >$chip/broken" 5
+lines_pulled_in_a_check
 chip_removed
 service_hangs
 service_killed

@@ -35,7 +35,6 @@ waits_for_its_interface() {
   start_brake /tmp/trace.csv
   wait_until 20 "it starts once the interface is there" property_is clampd ActiveState active
 }
-tried_again() { [ "$(property clampd NRestarts)" -ge 2 ]; }
 
 runs_as_it_should() {
   echo "--- as its own user, in real time"
@@ -106,7 +105,6 @@ restarted_when_hung() {
   expect_pass again
   pid=$(property clampd MainPID)
 }
-restarted() { [ "$(property clampd NRestarts)" -gt "$restarts" ]; }
 left_init() { station_is IDLE || station_is FAULT; }
 # In the frame BrakeCommand Enable is the lowest bit of the third byte.
 enabled_after() {
