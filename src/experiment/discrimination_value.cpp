@@ -35,8 +35,8 @@ std::vector<Entry> entries(ExtendedParameters& model, std::span<const ExtendedBr
   for (const ExtendedBrake::Place& place : places) {
     if (place.effect < 0) {
       const ParameterInfo& info = kParameterTable[static_cast<std::size_t>(place.parameter)];
-      all.push_back({&value_at(model, place), info.lower, info.upper, std::abs(info.nominal),
-                     info.lower > 0.0});
+      all.push_back(
+          {&value_at(model, place), info.lower, info.upper, std::abs(info.nominal), info.lower > 0.0});
       continue;
     }
     const EffectParameter& info = parameter_at(model, place);
@@ -126,15 +126,15 @@ RivalComparison::Tracked RivalComparison::track(const Reference& reference, cons
     asked_Nm = std::max(asked_Nm, std::abs(torque));
     return std::clamp(torque, -options_.torque_limit_Nm, options_.torque_limit_Nm);
   };
-  RowInput row{0.0, 0.0, 0.0, kPeriod_s, run.number};
+  RowInput row{.gap_s = kPeriod_s, .run = run.number};
   ExtendedBrake::State state = brake.settled(0.0, 0.0, row);
-  row.torque_Nm = row.next_torque_Nm = command(0, state);
+  row.previous_torque_Nm = row.torque_Nm = row.next_torque_Nm = row.later_torque_Nm = command(0, state);
   state = brake.settled(0.0, 0.0, row);
   for (std::size_t k = 0; k < size; ++k) {
     row.time_s = static_cast<double>(k) * kPeriod_s;
-    row.next_torque_Nm = row.torque_Nm;
+    row.next_torque_Nm = row.later_torque_Nm = row.torque_Nm;
     // As on the bench, the next command is decided before its row, from where the brake will be.
-    row.next_torque_Nm = command(k + 1, brake.advance(state, row));
+    row.next_torque_Nm = row.later_torque_Nm = command(k + 1, brake.advance(state, row));
     const Reading reading = brake.read(state, row);
     run.time_s.push_back(row.time_s);
     run.torque_Nm.push_back(row.torque_Nm);
@@ -145,6 +145,7 @@ RivalComparison::Tracked RivalComparison::track(const Reference& reference, cons
     speed_max_rad_s = std::max(speed_max_rad_s, std::abs(state[1]));
     squares_N2 += (force_N - reference.rows[k].force_N) * (force_N - reference.rows[k].force_N);
     state = brake.advance(state, row);
+    row.previous_torque_Nm = row.torque_Nm;
     row.torque_Nm = row.next_torque_Nm;
     if (!ExtendedBrake::is_bounded(state)) {
       tracked.infeasible = fmt::format("{} leaves all bounds", rival.name);

@@ -118,9 +118,14 @@ bool within_bounds(const ExtendedParameters& model) {
 }
 
 RowInput row_input(const FitRun& run, std::size_t k) noexcept {
-  const bool last = k + 1 == run.size();
-  return {run.torque_Nm[k], run.torque_Nm[last ? k : k + 1], run.time_s[k],
-          last ? kLargestStep_s : run.time_s[k + 1] - run.time_s[k], run.number};
+  const std::size_t last = run.size() - 1;
+  return {run.torque_Nm[k > 0 ? k - 1 : 0],
+          run.torque_Nm[k],
+          run.torque_Nm[std::min(k + 1, last)],
+          run.torque_Nm[std::min(k + 2, last)],
+          run.time_s[k],
+          k < last ? run.time_s[k + 1] - run.time_s[k] : kLargestStep_s,
+          run.number};
 }
 
 void ExtendedRun::resize(std::size_t size, int n, int p, int l) {

@@ -24,7 +24,13 @@ double torque_at(double time_s) {
 }
 
 RowInput row_at(int k) {
-  return {torque_at(k * kStep_s), torque_at((k + 1) * kStep_s), k * kStep_s, kStep_s, 3.0};
+  return {torque_at((k - 1) * kStep_s),
+          torque_at(k * kStep_s),
+          torque_at((k + 1) * kStep_s),
+          torque_at((k + 2) * kStep_s),
+          k * kStep_s,
+          kStep_s,
+          3.0};
 }
 
 /// Values at which an effect shows, of each of its parameters.
@@ -189,6 +195,34 @@ TEST_P(EveryForm, HasExactDerivativesThroughStickAndSlip) {
   }
   EXPECT_GT(compared, 1000);
   EXPECT_LT(wrong, compared / 200);
+}
+
+/// A torque held from row to row, its reading the mean of a row's time that began some of it earlier.
+TEST(ChannelSkew, UndoesTheMixtureThatALateTorqueReadsAs) {
+  constexpr double kLate = 0.6;
+  const auto mixed = [](int k) {
+    return (1.0 - kLate) * torque_at(k * kStep_s) + kLate * torque_at((k - 1) * kStep_s);
+  };
+  const auto apart = [&](double late) {
+    const ExtendedBrake brake{ExtendedParameters{}};
+    const ExtendedBrake skewed({BrakeParameters{}, {{find_effect("channel-skew"), {late, 0, 3}}}});
+    ExtendedBrake::State state = brake.settled(-4.0, 0.0, row_at(0));
+    ExtendedBrake::State seen = skewed.settled(-4.0, 0.0, row_at(0));
+    double squares = 0.0;
+    for (int k = 0; k < 360; ++k) {
+      RowInput late_row = row_at(k);
+      late_row.previous_torque_Nm = mixed(k - 1);
+      late_row.torque_Nm = mixed(k);
+      late_row.next_torque_Nm = mixed(k + 1);
+      late_row.later_torque_Nm = mixed(k + 2);
+      state = brake.advance(state, row_at(k));
+      seen = skewed.advance(seen, late_row);
+      squares += (state[1] - seen[1]) * (state[1] - seen[1]);
+    }
+    return std::sqrt(squares / 360.0);
+  };
+  EXPECT_GT(apart(0.0), 2.0) << "rad/s, taken as it was read";
+  EXPECT_LT(apart(kLate), 0.35 * apart(0.0)) << "linear interpolation alone: 0.57";
 }
 
 /// The model of Canudas de Wit, Olsson, Astrom and Lischinsky (1995) as it is written, in steps of 0.1 us.

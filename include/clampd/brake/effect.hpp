@@ -18,7 +18,7 @@ std::string_view to_string(Location location) noexcept;
 /// A parameter of an effect.
 struct EffectParameter {
   enum class Role {
-    Strength,    ///< at `neutral` the base model is recovered
+    Strength,    ///< at `neutral` the base model is recovered; looked at from its `starts`, if any, too
     Shape,       ///< estimated, from each of its `starts`: nothing tells it while the strengths are neutral
     Choice,      ///< one of `starts`, not estimated
     Refinement,  ///< the same; others than the first are tried once the rest fits

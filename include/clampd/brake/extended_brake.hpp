@@ -31,11 +31,13 @@ std::string format_extended_parameters(const ExtendedParameters& parameters);
 
 /// What drives the brake from one row of a run to the next.
 struct RowInput {
-  double torque_Nm = 0.0;       ///< reading, held until the next row
-  double next_torque_Nm = 0.0;  ///< of the next row
-  double time_s = 0.0;          ///< of the row, in its run
-  double gap_s = 0.0;           ///< to the next row
-  double run = 0.0;             ///< number of the run, from 0, in chronological order
+  double previous_torque_Nm = 0.0;  ///< reading of the row before
+  double torque_Nm = 0.0;           ///< reading, held until the next row
+  double next_torque_Nm = 0.0;      ///< of the next row
+  double later_torque_Nm = 0.0;     ///< of the row after that
+  double time_s = 0.0;              ///< of the row, in its run
+  double gap_s = 0.0;               ///< to the next row
+  double run = 0.0;                 ///< number of the run, from 0, in chronological order
 };
 
 /// The brake of dynamics.hpp in its set-valued limit with any effects beside it. Its state is position (rad

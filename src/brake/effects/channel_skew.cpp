@@ -44,12 +44,22 @@ class ChannelSkew final : public EquationsOf<ChannelSkew> {
     (values[2] == 1.0 ? late.force : values[2] == 2.0 ? late.velocity : late.torque) = whole;
     return late;
   }
-  /// The fraction, between the sample before and this one; of the torque, between this one and the next.
+  /// A torque that is held from row to row and read late by a fraction of a row reads as a mixture of its
+  /// last two values. The torque that acts is the mixture's inverse to second order: between this reading and
+  /// the next, sharpened by what two such mixtures smooth.
   template <class T>
   void torque(effects_detail::TorqueInput<T>& input, const effects_detail::Own<T>& own, T*) const {
-    if (effects_detail::value_of(own.parameters[2]) == 3.0)
-      input.torque_Nm += own.parameters[0] * (input.next_torque_Nm - input.torque_Nm);
+    if (effects_detail::value_of(own.parameters[2]) != 3.0) return;
+    const T& late = own.parameters[0];
+    const auto between = [&](const T& reading, const T& next) {
+      return T(reading + late * (next - reading));
+    };
+    const T before = between(input.previous_torque_Nm, input.torque_Nm);
+    const T now = between(input.torque_Nm, input.next_torque_Nm);
+    const T after = between(input.next_torque_Nm, input.later_torque_Nm);
+    input.torque_Nm = now - late * (1.0 - late) * (before - 2.0 * now + after);
   }
+  /// The fraction, between the sample before and this one.
   template <class T>
   void read(effects_detail::Readout<T>& readout, const effects_detail::Own<T>& own) const {
     const double channel = effects_detail::value_of(own.parameters[2]);

@@ -31,8 +31,14 @@ struct Own {
 template <class T>
 struct TorqueInput {
   T torque_Nm;
-  T next_torque_Nm;  ///< reading of the next row
+  T previous_torque_Nm, next_torque_Nm, later_torque_Nm;  ///< of the rows before and after
   double gap_s;
+
+  /// Changes all readings alike.
+  template <class Change>
+  void each_reading(const Change& change) {
+    for (T* reading : {&previous_torque_Nm, &torque_Nm, &next_torque_Nm, &later_torque_Nm}) change(*reading);
+  }
 };
 
 /// One instant of a stretch of motion in one direction. An effect reads what came before it in this order,

@@ -23,8 +23,7 @@ class TorqueGain final : public EquationsOf<TorqueGain> {
   }
   template <class T>
   void torque(effects_detail::TorqueInput<T>& input, const effects_detail::Own<T>& own, T*) const {
-    input.torque_Nm /= 1.0 + own.parameters[0];
-    input.next_torque_Nm /= 1.0 + own.parameters[0];
+    input.each_reading([&](T& reading) { reading /= 1.0 + own.parameters[0]; });
   }
 };
 

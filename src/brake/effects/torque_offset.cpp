@@ -23,8 +23,7 @@ class TorqueOffset final : public EquationsOf<TorqueOffset> {
   }
   template <class T>
   void torque(effects_detail::TorqueInput<T>& input, const effects_detail::Own<T>& own, T*) const {
-    input.torque_Nm -= own.parameters[0];
-    input.next_torque_Nm -= own.parameters[0];
+    input.each_reading([&](T& reading) { reading -= own.parameters[0]; });
   }
 };
 
