@@ -27,8 +27,8 @@ constexpr double kFalseResidual = 0.003;
 /// named effects explain: a real effect never has quite the candidate's form.
 constexpr double kLeastUnexplained_nats = 8.0;
 constexpr double kUnexplainedShare = 0.04;
-/// So many effects that leave so many times what they explain are none of them what is wrong: neither further
-/// ones nor the question which of them help most are worth the time.
+/// So many effects that leave so many times what they explain, or a torque noisier than any drive's, are none
+/// of them what is wrong: neither further ones nor the question which of them help most are worth the time.
 constexpr std::size_t kFewestBeforeLost = 2;
 constexpr double kLost = 2.0;
 /// An effect whose strength these runs know no better than this, over the change that matters, was not seen.
@@ -174,11 +174,11 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   if (const auto valid = check(runs); !valid) return tl::unexpected(valid.error());
   if (const auto valid = options.heldout.empty() ? Result<void>{} : check(options.heldout); !valid)
     return tl::unexpected(valid.error());
-  const int threads = threads_or_all(options.threads);
   const Progress progress(options);
   progress(0.0, "fitting the base model");
 
   Hypothesis base;
+  base.threads = SpareThreads(threads_or_all(options.threads));
   base.runs = fit_runs(runs);
   base.estimate = fit_base(runs, options.nominal);
   if (!base.possible())
@@ -187,10 +187,9 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
         "of "
         "this brake");
   progress(0.12, "looking at what is left");
-  const Residuals before = examine(base, threads);
+  const Residuals before = examine(base);
 
   SelectionOptions selecting;
-  selecting.threads = threads;
   selecting.most_effects = options.most_effects;
   selecting.false_alarm = options.false_alarm;
   selecting.progress = options.progress;
@@ -198,20 +197,20 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   Residuals after = before;
   double explained = 0.0;
   const auto look_at_the_rest = [&] {
-    after = examine(selection.chosen, threads);
+    after = examine(selection.chosen);
     explained = selection.chosen.log_likelihood() - base.log_likelihood();
   };
   bool lost = false;
   while (!lost && add_effect(runs, selecting, selection)) {
     if (selection.effects.size() < kFewestBeforeLost) continue;
     look_at_the_rest();
-    lost = after.nats > kLost * explained;
+    lost = after.nats > kLost * explained || is_torque_impossible(selection.chosen);
   }
   const bool changed = !lost && reconsider(runs, selecting, selection);
   if (changed || selection.effects.size() == 1) look_at_the_rest();
   const bool something_left =
       after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
-  const bool much_left = something_left && after.nats > kUnexplainedShare * explained;
+  const bool much_left = lost || (something_left && after.nats > kUnexplainedShare * explained);
 
   Diagnosis diagnosis;
   diagnosis.alarm_evidence = alarm_level(options.false_alarm);

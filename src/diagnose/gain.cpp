@@ -16,6 +16,7 @@ constexpr std::size_t kHeldOutEvery = 3;
 /// The hypothesis on some of its runs only.
 Hypothesis on_runs(const Hypothesis& hypothesis, const std::vector<std::size_t>& chosen) {
   Hypothesis part;
+  part.threads = hypothesis.threads;
   part.estimate = hypothesis.estimate;
   part.estimate.initial_states.clear();
   for (const std::size_t r : chosen) {
@@ -32,6 +33,7 @@ GainFigures judge(const Hypothesis& trained, Hypothesis held) {
   ExtendedFitOptions starts_only;
   starts_only.hold_parameters = true;
   starts_only.estimate_noise = false;
+  starts_only.threads = held.threads;
   held.estimate = fit_extended(held.runs, held.estimate, starts_only);
   GainFigures figures;
   const std::vector<FilteredRun> filtered = filter_runs(held.runs, held.estimate);
@@ -84,6 +86,7 @@ std::optional<HeldOutGain> held_out_gain(std::span<const Run> runs, std::span<co
   if (!heldout.empty()) {
     const auto prepare = [&](const Hypothesis& model) {
       Hypothesis held;
+      held.threads = model.threads;
       held.runs = fit_runs(heldout);
       for (FitRun& run : held.runs) run.number += static_cast<double>(runs.size());
       held.estimate = model.estimate;

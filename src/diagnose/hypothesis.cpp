@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <initializer_list>
 #include <limits>
+#include <numbers>
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
@@ -22,6 +24,7 @@ constexpr double kStuck = 0.85;
 /// From here on (N m) the torque noise of a hypothesis is so large that it may have swallowed the effect.
 constexpr double kSuspiciousTorque_Nm = 0.02;
 constexpr double kModestTorque_Nm = 0.008;
+constexpr double kHelps_nats = 1.0;
 /// A hypothesis that a step by itself would improve by so much got stuck, and a search from there may too.
 constexpr double kStuck_nats = 30.0;
 /// No drive's torque is as noisy as this.
@@ -47,8 +50,8 @@ std::vector<std::vector<double>> combinations(const Effect& effect, std::span<co
   const auto& parameters = info_of(effect).parameters;
   std::vector<std::vector<double>> list{{}};
   for (std::size_t i = 0; i < parameters.size(); ++i) {
-    std::vector<double> values{parameters[i].neutral};
-    if (parameters[i].role != Role::Strength) values = starts_of(effect, i, recorded);
+    std::vector<double> values = starts_of(effect, i, recorded);
+    if (parameters[i].role == Role::Strength) values.insert(values.begin(), parameters[i].neutral);
     if (parameters[i].role == Role::Refinement) values.resize(1);
     std::vector<std::vector<double>> longer;
     for (const auto& begun : list)
@@ -112,12 +115,22 @@ Start start_from(const Effect& effect, const std::vector<double>& values, const 
   return start;
 }
 
-/// What `hypothesis` makes of the readings that a model with these delays cannot use.
+/// What readings would add that a model with these delays cannot use, if it missed them by its noise as it
+/// does the others: that it cannot speaks neither for it nor against it.
 double likelihood_of_unusable(const EffectDelays& delays, const Hypothesis& hypothesis) {
-  if (delays.none()) return 0.0;
-  std::vector<FitRun> fewer = hypothesis.runs;
-  drop_unusable(delays, fewer);
-  return hypothesis.estimate.log_likelihood - forecast(fewer, hypothesis.estimate).log_likelihood;
+  const auto each = [](double deviation) {
+    return -0.5 * (1.0 + std::log(2.0 * std::numbers::pi * deviation * deviation));
+  };
+  const SensorNoise& noise = hypothesis.estimate.noise.sensors;
+  double sum = 0.0;
+  for (const FitRun& run : hypothesis.runs) {
+    const auto rows = [&](int late) {
+      return std::min(static_cast<double>(late), static_cast<double>(run.size()));
+    };
+    sum += rows(delays.force + delays.torque) * each(noise.force_N) +
+           rows(delays.velocity + delays.torque) * each(noise.velocity_rad_s);
+  }
+  return sum;
 }
 
 /// Where the seven parameters begin.
@@ -130,11 +143,9 @@ Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double 
   extended.estimate.noise.torque_Nm = torque_noise_Nm;
   if (brake == Brake::Nominal) extended.estimate.parameters.base.theta = nominal_parameters();
   const EffectDelays delays = delays_of(start.values);
-  extended.unused_log_likelihood += likelihood_of_unusable(delays, hypothesis);
   move_by(delays, extended.runs);
-  ExtendedFitOptions options;
-  options.max_iterations = max_iterations;
-  extended.estimate = fit_extended(extended.runs, extended.estimate, options);
+  refit(extended, max_iterations);
+  extended.unused_log_likelihood += likelihood_of_unusable(delays, extended);
   return extended;
 }
 
@@ -143,21 +154,20 @@ void keep_if_better(Hypothesis&& other, Hypothesis& kept) {
   if (!kept.possible() || other.log_likelihood() > kept.log_likelihood()) kept = std::move(other);
 }
 
-/// With the choices of this effect made otherwise, one at a time.
-void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std::vector<Hypothesis>& list) {
+/// With this effect's choices of these roles made otherwise, one at a time.
+void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std::initializer_list<Role> roles,
+                          std::vector<Hypothesis>& list) {
   const EffectValues& values = hypothesis.estimate.parameters.effects[effect];
   const EffectInfo& info = info_of(*values.effect);
-  if (!delays_of(values).none() || info.name == "outliers") return;
-  ExtendedFitOptions options;
-  options.max_iterations = kRoughIterations;
+  if (!delays_of(values).none() || info.name == kSpikes) return;
   for (std::size_t i = 0; i < info.parameters.size(); ++i) {
-    if (is_estimated(info.parameters[i])) continue;
+    if (std::find(roles.begin(), roles.end(), info.parameters[i].role) == roles.end()) continue;
     for (const double choice : info.parameters[i].starts) {
       Hypothesis other = hypothesis;
       EffectValues& chosen = other.estimate.parameters.effects[effect];
       chosen.values[i] = choice;
       if (choice == values.values[i] || !delays_of(chosen).none()) continue;
-      other.estimate = fit_extended(other.runs, other.estimate, options);
+      refit(other, kRoughIterations);
       if (other.possible()) list.push_back(std::move(other));
     }
   }
@@ -255,20 +265,23 @@ Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<
   } else {
     for (const std::vector<double>& values : combinations(effect, recorded)) {
       const ExtendedEstimate extended = with_effect(hypothesis.estimate, {&effect, values});
-      const StepForecast seen = forecast(hypothesis.runs, extended);
+      const StepForecast seen = forecast(hypothesis.runs, extended, hypothesis.threads);
       if (seen.step.size() == 0) continue;
       candidate.starts.push_back(start_from(effect, values, hypothesis, seen));
       // Strengths come last or before shapes; the best known one counts.
       Eigen::Index at = seen.sd.size();
       double blindness = 0.0;
+      bool is_neutral = true;
       for (std::size_t i = info.parameters.size(); i-- > 0;) {
         if (!is_estimated(info.parameters[i])) continue;
         --at;
-        if (info.parameters[i].role == Role::Strength)
-          blindness = std::max(blindness, seen.sd[at] / info.parameters[i].scale);
+        if (info.parameters[i].role != Role::Strength) continue;
+        blindness = std::max(blindness, seen.sd[at] / info.parameters[i].scale);
+        is_neutral = is_neutral && values[i] == info.parameters[i].neutral;
       }
-      candidate.blindness =
-          candidate.starts.size() == 1 ? blindness : std::min(candidate.blindness, blindness);
+      if (is_neutral)
+        candidate.blindness =
+            candidate.starts.size() == 1 ? blindness : std::min(candidate.blindness, blindness);
     }
     std::sort(candidate.starts.begin(), candidate.starts.end(),
               [](const Start& a, const Start& b) { return a.predicted_gain > b.predicted_gain; });
@@ -280,9 +293,12 @@ Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<
 }
 
 bool is_stuck(const Hypothesis& hypothesis) {
-  const StepForecast step = forecast(hypothesis.runs, hypothesis.estimate);
-  return step.after_step - step.log_likelihood > kStuck_nats ||
-         hypothesis.estimate.noise.torque_Nm > kImpossibleTorque_Nm;
+  const StepForecast step = forecast(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
+  return step.after_step - step.log_likelihood > kStuck_nats || is_torque_impossible(hypothesis);
+}
+
+bool is_torque_impossible(const Hypothesis& hypothesis) {
+  return hypothesis.estimate.noise.torque_Nm > kImpossibleTorque_Nm;
 }
 
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
@@ -327,8 +343,9 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
           values.values[j] = parameters[j].lower + 0.5 * width;
       }
       attempt({values, 0.0}, best.estimate.noise.torque_Nm);
-      attempt_afresh(values);
-      misses = gain() > reached ? 0 : misses + 1;
+      const bool better = gain() > reached;
+      if (better) attempt_afresh(best.estimate.parameters.effects.back());
+      misses = better ? 0 : misses + 1;
       if (misses == kMostMisses) break;
     }
   }
@@ -348,14 +365,17 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
     keep_if_better(std::move(further), candidate.fitted);
   }
   if (candidate.fitted.estimate.noise.torque_Nm > kSuspiciousTorque_Nm) {
-    // From a filter that believes the torque: where its own noise hid the effect.
+    // From a filter that believes the torque: where its own noise hid the effect. As long as that helps.
     std::vector<EffectValues> from{candidate.fitted.estimate.parameters.effects.back()};
     for (std::size_t i = 0; i < std::min<std::size_t>(2, candidate.starts.size()); ++i)
       from.push_back(candidate.starts[i].values);
-    for (const EffectValues& values : from)
+    for (const EffectValues& values : from) {
+      const double reached = candidate.fitted.log_likelihood();
       keep_if_better(
           fitted_from({values, 0.0}, hypothesis, kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
           candidate.fitted);
+      if (candidate.fitted.log_likelihood() < reached + kHelps_nats) break;
+    }
   }
   if (info_of(*candidate.effect).repeatable) {
     // Beside one period another stands out that the base model hides: perhaps that is the only one.
@@ -371,27 +391,33 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
                        candidate.fitted);
     }
   }
-  // One choice may only show its worth far from the neutral value, where another one leads.
+  // One choice may only show its worth far from the neutral value, where another one leads; refinements were
+  // tried there.
   std::vector<Hypothesis> others;
-  add_otherwise_chosen(candidate.fitted, candidate.fitted.estimate.parameters.effects.size() - 1, others);
+  add_otherwise_chosen(candidate.fitted, candidate.fitted.estimate.parameters.effects.size() - 1,
+                       {Role::Choice}, others);
   for (Hypothesis& other : others) keep_if_better(std::move(other), candidate.fitted);
   candidate.gain = std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood());
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
 
-void refit(Hypothesis& hypothesis) {
-  hypothesis.estimate = fit_extended(hypothesis.runs, hypothesis.estimate);
+void refit(Hypothesis& hypothesis, int max_iterations) {
+  ExtendedFitOptions options;
+  options.max_iterations = max_iterations;
+  options.threads = hypothesis.threads;
+  hypothesis.estimate = fit_extended(hypothesis.runs, hypothesis.estimate, options);
 }
 
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded) {
   Hypothesis reduced;
+  reduced.threads = hypothesis.threads;
   reduced.estimate = without_effect(hypothesis.estimate, effect);
   const EffectValues& removed = hypothesis.estimate.parameters.effects[effect];
   reduced.runs = hypothesis.runs;
   reduced.unused_log_likelihood = hypothesis.unused_log_likelihood;
   reduced.degrees = hypothesis.degrees - degrees_of(*removed.effect, recorded.size());
   const EffectDelays delays = delays_of(removed);
-  if (!delays.none() || info_of(*removed.effect).name == "outliers") {
+  if (!delays.none() || info_of(*removed.effect).name == kSpikes) {
     // The readings as recorded, and then as the effects that are left see them.
     reduced.runs = fit_runs(recorded);
     reduced.unused_log_likelihood = 0.0;
@@ -406,7 +432,7 @@ Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<c
 std::vector<Hypothesis> otherwise_chosen(const Hypothesis& hypothesis) {
   std::vector<Hypothesis> list;
   for (std::size_t e = 0; e < hypothesis.estimate.parameters.effects.size(); ++e)
-    add_otherwise_chosen(hypothesis, e, list);
+    add_otherwise_chosen(hypothesis, e, {Role::Choice, Role::Refinement}, list);
   return list;
 }
 

@@ -2,11 +2,15 @@
 
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "clampd/identify/extended_fit.hpp"
 
 namespace clampd::diagnosing {
+
+/// The effect without equations: readings that its search leaves out.
+inline constexpr std::string_view kSpikes = "outliers";
 
 /// A model with the runs as it sees them: channels moved back that it says are late, readings left out that
 /// it says are spikes.
@@ -17,6 +21,7 @@ struct Hypothesis {
   /// all readings.
   double unused_log_likelihood = 0.0;
   double degrees = 0.0;  ///< parameters that the effects add
+  SpareThreads threads;  ///< that its fits may use
 
   double log_likelihood() const { return estimate.log_likelihood + unused_log_likelihood; }
   bool possible() const { return estimate.possible; }
@@ -57,11 +62,14 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh);
 /// Whether its own parameters have not found their best, as where an effect leads them far away.
 bool is_stuck(const Hypothesis& hypothesis);
 
+/// Whether its torque is noisier than any drive's: the model swallows by it what it does not know.
+bool is_torque_impossible(const Hypothesis& hypothesis);
+
 /// Fits to the end what fit() began.
 void finish(Candidate& candidate, const Hypothesis& hypothesis);
 
 /// Fits the hypothesis anew with its effects as they are.
-void refit(Hypothesis& hypothesis);
+void refit(Hypothesis& hypothesis, int max_iterations = ExtendedFitOptions{}.max_iterations);
 
 /// The hypothesis without one of its effects, fitted.
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded);

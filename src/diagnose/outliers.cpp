@@ -28,7 +28,7 @@ class SpikeSearch {
       const std::vector<FilteredRun> filtered = filter_runs(found_.runs, found_.estimate);
       if (filtered.empty() || !mark(filtered)) break;
       if (static_cast<double>(spikes_.size()) > kLargestShare * readings()) return false;
-      found_.estimate = fit_extended(found_.runs, found_.estimate);
+      refit(found_);
       if (!found_.possible()) return false;
     }
     if (spikes_.empty()) return false;
@@ -53,7 +53,7 @@ class SpikeSearch {
           0.5 * (std::log(2.0 * std::numbers::pi * square) + std::pow(residual(filtered, spike), 2) / square);
     found_.unused_log_likelihood += likelihood;
     found_.estimate =
-        with_effect(found_.estimate, {find_effect("outliers"), {share, std::sqrt(square), 1.0 + channel_}});
+        with_effect(found_.estimate, {find_effect(kSpikes), {share, std::sqrt(square), 1.0 + channel_}});
     // Without equations: the covariance holds.
     return std::move(found_);
   }
@@ -102,7 +102,7 @@ class SpikeSearch {
 
 Candidate look_for_outliers(const Hypothesis& hypothesis) {
   Candidate best;
-  best.effect = find_effect("outliers");
+  best.effect = find_effect(kSpikes);
   best.degrees = 2.0;
   best.alternatives = 2.0;
   best.is_fitted = true;

@@ -349,7 +349,7 @@ double surprise_of_colour(std::span<const FilteredRun> runs) {
   return surprise_of_chi_square(force.statistic + velocity.statistic, force.degrees + velocity.degrees);
 }
 
-Residuals examine(const Hypothesis& hypothesis, int threads) {
+Residuals examine(const Hypothesis& hypothesis) {
   Residuals residuals;
   const std::vector<FilteredRun> filtered = filter_runs(hypothesis.runs, hypothesis.estimate);
   if (filtered.empty()) return residuals;
@@ -437,7 +437,7 @@ Residuals examine(const Hypothesis& hypothesis, int threads) {
   // One pass a kind: the columns of all its questions side by side.
   const SignalScorer scorer(hypothesis.runs, hypothesis.estimate);
   const Kind kinds[] = {Kind::Torque, Kind::Force, Kind::ForceReading, Kind::VelocityReading};
-  for_each_index(4, threads, [&](std::size_t i) {
+  for_each_index(4, hypothesis.threads, [&](std::size_t i) {
     SignalColumns signals{kinds[i], {}};
     std::vector<std::size_t> members;
     Eigen::Index width = 0;

@@ -21,7 +21,7 @@ struct Residuals {
   double nats = 0.0;
 };
 
-Residuals examine(const Hypothesis& hypothesis, int threads);
+Residuals examine(const Hypothesis& hypothesis);
 
 /// How surprising the innovations' correlation with the ones before them is, force and velocity together.
 double surprise_of_colour(std::span<const FilteredRun> runs);

@@ -19,13 +19,17 @@ constexpr std::size_t kMostLaterFits = 5;
 constexpr double kPromising = 0.2;
 /// A fit may bring more than one step promises, but hardly from nothing.
 constexpr double kBelowAlarm = 3.5;
+/// Nor is a further one worth a fit that promises less than this share of what would matter.
+constexpr double kLeastPromised = 0.25;
 /// Relative error of a harmonic's order.
 constexpr double kHarmonic = 0.03;
 /// Fitted to the end are those not behind the best rough fit by this share and these nats.
 constexpr double kLeading = 0.8;
 constexpr double kFarBehind_nats = 40.0;
+/// Of those, only the ones whose rough fit has this share of an alarm's evidence.
+constexpr double kNearAlarm = 0.5;
 /// A further effect must bring this share of what the others bring: an effect of another form than the
-/// candidate's leaves that much behind.
+/// candidate's leaves that much behind. Spikes neither have another form nor come from one: they stand alone.
 constexpr double kMaterial = 0.03;
 /// Two things wrong at once are so much rarer than one.
 constexpr double kFurtherEffect = 0.1;
@@ -69,18 +73,20 @@ class Selector {
   Selector(std::span<const Run> runs, const SelectionOptions& options)
       : runs_(runs), options_(options), alarm_(alarm_level(options.false_alarm)) {}
 
-  /// All candidates beside a hypothesis, the promising ones fitted, best first.
-  std::vector<Candidate> judge(const Hypothesis& hypothesis, double from, double to,
+  /// All candidates beside a hypothesis, the promising ones fitted, best first. One that gains less than
+  /// `material` does not matter.
+  std::vector<Candidate> judge(const Hypothesis& hypothesis, double material, double from, double to,
                                const std::string& words) {
-    const std::size_t most_fits = hypothesis.estimate.parameters.effects.empty() ? kMostFits : kMostLaterFits;
+    const std::size_t others = hypothesis.estimate.parameters.effects.size();
+    const std::size_t most_fits = others == 0 ? kMostFits : kMostLaterFits;
     std::vector<const Effect*> tried;
     for (const Effect* effect : effects())
       if ((!has(hypothesis, *effect) || info_of(*effect).repeatable) && room_for(hypothesis, *effect))
         tried.push_back(effect);
     std::vector<Candidate> candidates(tried.size());
-    for_each_index(tried.size(), options_.threads, [&](std::size_t i) {
-      candidates[i] = info_of(*tried[i]).name == "outliers" ? look_for_outliers(hypothesis)
-                                                            : look_at(*tried[i], hypothesis, runs_);
+    for_each_index(tried.size(), hypothesis.threads, [&](std::size_t i) {
+      candidates[i] = info_of(*tried[i]).name == kSpikes ? look_for_outliers(hypothesis)
+                                                         : look_at(*tried[i], hypothesis, runs_);
     });
     report(from + 0.4 * (to - from), words);
     const auto by_promise = [](const Candidate& a, const Candidate& b) {
@@ -91,20 +97,21 @@ class Selector {
     std::vector<std::size_t> worth;
     for (std::size_t i = 0; i < candidates.size() && worth.size() < most_fits; ++i)
       if (!candidates[i].is_fitted &&
-          candidates[i].predicted_evidence > std::max(alarm_ - kBelowAlarm, kPromising * best))
+          candidates[i].predicted_evidence > std::max(alarm_ - kBelowAlarm, kPromising * best) &&
+          candidates[i].predicted_gain >= kLeastPromised * material)
         worth.push_back(i);
     const bool stuck = !worth.empty() && is_stuck(hypothesis);
-    for_each_index(worth.size(), options_.threads,
+    for_each_index(worth.size(), hypothesis.threads,
                    [&](std::size_t i) { fit(candidates[worth[i]], hypothesis, stuck); });
     double reached = 0.0;
     for (const Candidate& candidate : candidates)
       if (candidate.is_fitted) reached = std::max(reached, candidate.gain);
     std::vector<std::size_t> leading;
     for (std::size_t i = 0; i < candidates.size(); ++i)
-      if (candidates[i].is_fitted &&
+      if (candidates[i].is_fitted && candidates[i].evidence > kNearAlarm * alarm(others) &&
           candidates[i].gain > std::min(kLeading * reached, reached - kFarBehind_nats))
         leading.push_back(i);
-    for_each_index(leading.size(), options_.threads,
+    for_each_index(leading.size(), hypothesis.threads,
                    [&](std::size_t i) { finish(candidates[leading[i]], hypothesis); });
     for (Candidate& candidate : candidates)
       if (candidate.is_fitted && has(hypothesis, *candidate.effect) && !is_harmonic(candidate, hypothesis))
@@ -156,18 +163,18 @@ bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Sele
   const std::size_t others = selection.effects.size();
   if (others == static_cast<std::size_t>(options.most_effects)) return false;
   Selector selector(runs, options);
+  double formed = 0.0;
+  for (const Selected& selected : selection.effects)
+    if (selected.name != kSpikes) formed += selected.gain;
   const double next = selection.share + 0.5 * (0.95 - selection.share);
   selection.stages.push_back(selector.judge(
-      selection.chosen, selection.share, next,
+      selection.chosen, kMaterial * formed, selection.share, next,
       others == 0 ? "trying every effect" : fmt::format("trying every effect beside {} found", others)));
   selection.share = next;
   const std::vector<Candidate>& candidates = selection.stages.back();
   if (candidates.empty() || !selector.is_alarm(candidates.front(), others)) return false;
   const Candidate& best = candidates.front();
-  double formed = 0.0;  // gained by effects that could have another form; spikes cannot
-  for (const Selected& selected : selection.effects)
-    if (selected.name != "outliers") formed += selected.gain;
-  if (best.gain < kMaterial * formed) return false;
+  if (best.name() != kSpikes && best.gain < kMaterial * formed) return false;
   selection.effects.push_back(
       {std::string(best.name()), best.gain, best.evidence,
        rivals_among(candidates, best.name(), best.evidence, best.fitted, selector.alarm(others))});
@@ -195,7 +202,7 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
     const double next = selection.share + 0.4 * (0.97 - selection.share);
     const std::vector<Candidate> candidates =
         as_before ? selection.stages[e]
-                  : selector.judge(reduced, selection.share, next, fmt::format("is {} needed?", name));
+                  : selector.judge(reduced, 0.0, selection.share, next, fmt::format("is {} needed?", name));
     selection.share = next;
     const auto itself = std::find_if(candidates.begin(), candidates.end(),
                                      [&](const Candidate& candidate) { return candidate.name() == name; });

@@ -10,7 +10,6 @@
 namespace clampd::diagnosing {
 
 struct SelectionOptions {
-  int threads = 1;
   int most_effects = 4;
   double false_alarm = 0.005;
   std::function<void(double, const std::string&)> progress;

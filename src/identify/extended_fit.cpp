@@ -1,6 +1,7 @@
 #include "clampd/identify/extended_fit.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -38,8 +39,10 @@ class ExtendedFit {
   enum { NUM_RESIDUALS = Eigen::Dynamic, NUM_PARAMETERS = Eigen::Dynamic };
 
   ExtendedFit(std::span<const FitRun> runs, const ExtendedEstimate& start,
-              const std::array<bool, kParameterCount>& held, bool hold_effects = false)
+              const std::array<bool, kParameterCount>& held, const SpareThreads& threads = {},
+              bool hold_effects = false)
       : runs_(runs),
+        threads_(threads),
         model_(start.parameters),
         shape_(start.parameters),
         unknowns_(model_, shape_.places(), held, hold_effects) {
@@ -188,12 +191,15 @@ class ExtendedFit {
 
   /// Maximum likelihood of the noise for the rows as they are; leaves the gains to be renewed.
   Variances estimate_noise(Variances variances, int iterations) {
-    std::vector<double> innovation;
+    std::vector<NoiseSquares> parts(runs_.size());
     for (int i = 0; i < iterations; ++i) {
-      NoiseSquares sum;
-      for (std::size_t r = 0; r < runs_.size(); ++r) {
+      for_each_index(runs_.size(), threads_, [&](std::size_t r) {
+        std::vector<double> innovation;
         regain(runs_[r], variances, now_.runs[r], innovation);
-        const NoiseSquares part = smooth(runs_[r], now_.runs[r], innovation, nullptr);
+        parts[r] = smooth(runs_[r], now_.runs[r], innovation, nullptr);
+      });
+      NoiseSquares sum;
+      for (const NoiseSquares& part : parts) {
         sum.force += part.force;
         sum.force_expected += part.force_expected;
         sum.velocity += part.velocity;
@@ -249,17 +255,23 @@ class ExtendedFit {
     const ExtendedParameters model = model_at(point);
     if (!within_bounds(model)) return false;
     const ExtendedBrake brake(model);
-    for (std::size_t r = 0; r < runs_.size(); ++r) {
+    std::atomic<bool> possible{true};
+    for_each_index(runs_.size(), threads_, [&](std::size_t r) {
+      if (!possible) return;
       const Eigen::VectorXd initial = point.segment(local(r), locals_);
-      if (!linearise(runs_[r], brake, model, unknowns_, initial, variances, gains, now_.runs[r]))
-        return false;
+      if (!linearise(runs_[r], brake, model, unknowns_, initial, variances, gains, now_.runs[r])) {
+        possible = false;
+        return;
+      }
       compute_normal(runs_[r], now_.runs[r]);
       Eigen::MatrixXd& normal = now_.normals[r] = now_.runs[r].normal;
-      if (!normal.allFinite()) return false;
-      add_prior(prior_, initial - centres_[r], parameters_, normal);
-    }
-    now_.possible = true;
-    return true;
+      if (!normal.allFinite())
+        possible = false;
+      else
+        add_prior(prior_, initial - centres_[r], parameters_, normal);
+    });
+    now_.possible = possible;
+    return now_.possible;
   }
 
   /// Free states that no parameter pays for differ from run to run by their prior: the likelihood is its
@@ -291,6 +303,7 @@ class ExtendedFit {
   }
 
   std::span<const FitRun> runs_;
+  SpareThreads threads_;
   ExtendedParameters model_;
   ExtendedBrake shape_;
   Unknowns unknowns_;
@@ -412,7 +425,7 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
   if (!within_bounds(start.parameters)) return estimate;
   std::array<bool, kParameterCount> held = options.held;
   if (options.hold_parameters) held.fill(true);
-  ExtendedFit fit(runs, start, held, options.hold_parameters);
+  ExtendedFit fit(runs, start, held, options.threads, options.hold_parameters);
   MinimiserOf<ExtendedFit> minimise(fit, MinimiserOf<ExtendedFit>::Kinks::Accept);
   Eigen::VectorXd point = fit.start();
   Variances variances = variances_of(start.noise);
@@ -509,11 +522,12 @@ ExtendedEstimate without_effect(const ExtendedEstimate& estimate, std::size_t in
   return reduced;
 }
 
-StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate) {
+StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                      const SpareThreads& threads) {
   StepForecast result{
       -std::numeric_limits<double>::infinity(), -std::numeric_limits<double>::infinity(), {}, {}};
   if (!within_bounds(estimate.parameters)) return result;
-  ExtendedFit fit(runs, estimate, {});
+  ExtendedFit fit(runs, estimate, {}, threads);
   const Eigen::VectorXd point = fit.start();
   if (!fit.renew(point, variances_of(estimate.noise))) return result;
   result.log_likelihood = fit.log_likelihood();

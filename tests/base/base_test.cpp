@@ -1,7 +1,12 @@
+#include <algorithm>
+#include <atomic>
+#include <vector>
+
 #include <gtest/gtest.h>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/base/clock.hpp"
+#include "clampd/base/parallel.hpp"
 #include "clampd/base/result.hpp"
 
 namespace clampd {
@@ -20,6 +25,37 @@ TEST(Clock, NeverRunsBackwards) {
     last_ns = now_ns;
   }
   EXPECT_EQ(kPeriod_ns, static_cast<std::int64_t>(kPeriod_s * 1e9));
+}
+
+TEST(SpareThreads, AreOneAccountForAllCopies) {
+  EXPECT_FALSE(SpareThreads().take()) << "by itself, none";
+  const SpareThreads threads(3);
+  const SpareThreads copy = threads;
+  EXPECT_TRUE(threads.take());
+  EXPECT_TRUE(copy.take());
+  EXPECT_FALSE(threads.take()) << "the caller's thread is the third";
+  copy.give_back();
+  EXPECT_TRUE(threads.take());
+}
+
+TEST(SpareThreads, LoopsWithinLoopsDoAllWorkOnceAndShareThem) {
+  constexpr int kThreads = 3;
+  constexpr std::size_t kOuter = 7, kInner = 50;
+  const SpareThreads threads(kThreads);
+  std::vector<std::atomic<int>> done(kOuter * kInner);
+  std::atomic<int> at_once{0}, most{0};
+  for_each_index(kOuter, threads, [&](std::size_t outer) {
+    for_each_index(kInner, threads, [&](std::size_t inner) {
+      const int now = ++at_once;
+      for (int seen = most; seen < now && !most.compare_exchange_weak(seen, now);) {
+      }
+      ++done[outer * kInner + inner];
+      --at_once;
+    });
+  });
+  EXPECT_TRUE(std::all_of(done.begin(), done.end(), [](const auto& times) { return times == 1; }));
+  EXPECT_LE(most, kThreads);
+  for (int i = 1; i < kThreads; ++i) EXPECT_TRUE(threads.take()) << "all are given back";
 }
 
 TEST(Result, CarriesAValueOrAMessage) {

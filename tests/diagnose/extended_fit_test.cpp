@@ -67,6 +67,22 @@ TEST(ExtendedFit, AStepForecastsWhatTheFitBrings) {
   EXPECT_NEAR((seen.after_step - seen.log_likelihood) / gain, 1.0, 0.3);
 }
 
+TEST(ExtendedFit, IsTheSameOnAnyNumberOfThreads) {
+  const std::vector<clampd::Run> runs = runs_of("force-lag", 21, 5);
+  const ExtendedEstimate start =
+      with_effect(fit_base(runs, BrakeParameters{}), {find_effect("force-lag"), {0.001}});
+  ExtendedFitOptions options;
+  const ExtendedEstimate alone = fit_extended(fit_runs(runs), start, options);
+  options.threads = SpareThreads(4);
+  const ExtendedEstimate together = fit_extended(fit_runs(runs), start, options);
+  ASSERT_TRUE(alone.possible && together.possible);
+  EXPECT_EQ(together.log_likelihood, alone.log_likelihood);
+  EXPECT_EQ(together.parameters.base.theta, alone.parameters.base.theta);
+  EXPECT_EQ(together.parameters.effects[0].values, alone.parameters.effects[0].values);
+  EXPECT_EQ(together.noise.torque_Nm, alone.noise.torque_Nm);
+  EXPECT_EQ(together.covariance, alone.covariance);
+}
+
 TEST(ExtendedFit, ASignalIsFoundWhereItIsAndAsLargeAsItIs) {
   std::vector<clampd::Run> runs = runs_of("", 13, 9);
   for (clampd::Run& run : runs)

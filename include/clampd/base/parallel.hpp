@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cstddef>
+#include <memory>
 #include <thread>
 #include <type_traits>
 #include <vector>
@@ -16,10 +17,31 @@ inline int threads_or_all(int asked) {
   return std::min(asked > 0 ? asked : processors, 64);
 }
 
-/// Calls work(i), or work(thread, i) with the thread's number from 0, for i in [0, count) on up to `threads`
-/// threads, the caller's one among them.
+/// Threads that may still be started, one account for all copies: loops within loops share it, and an inner
+/// one gets what an outer one leaves over. By itself, none.
+class SpareThreads {
+ public:
+  SpareThreads() = default;
+  /// For work on `threads` threads, the caller's one among them.
+  explicit SpareThreads(int threads) : spare_(std::make_shared<std::atomic<int>>(threads - 1)) {}
+
+  bool take() const {
+    if (!spare_) return false;
+    int spare = spare_->load();
+    while (spare > 0)
+      if (spare_->compare_exchange_weak(spare, spare - 1)) return true;
+    return false;
+  }
+  void give_back() const { ++*spare_; }
+
+ private:
+  std::shared_ptr<std::atomic<int>> spare_;
+};
+
+/// Calls work(i), or work(thread, i) with the thread's number from 0, for i in [0, count) on the caller's
+/// thread and on those that are spare as it begins.
 template <class Work>
-void for_each_index(std::size_t count, int threads, const Work& work) {
+void for_each_index(std::size_t count, const SpareThreads& threads, const Work& work) {
   std::atomic<std::size_t> next{0};
   const auto take = [&](std::size_t thread) {
     for (std::size_t i = next++; i < count; i = next++) {
@@ -29,10 +51,19 @@ void for_each_index(std::size_t count, int threads, const Work& work) {
         work(i);
     }
   };
-  const std::size_t workers = std::min(count, static_cast<std::size_t>(std::max(1, threads)));
   std::vector<std::jthread> others;
-  for (std::size_t thread = 1; thread < workers; ++thread) others.emplace_back(take, thread);
+  while (others.size() + 1 < count && next < count && threads.take())
+    others.emplace_back([&, thread = others.size() + 1] {
+      take(thread);
+      threads.give_back();
+    });
   take(0);
+}
+
+/// The same on up to `threads` threads, the caller's one among them.
+template <class Work>
+void for_each_index(std::size_t count, int threads, const Work& work) {
+  for_each_index(count, SpareThreads(threads), work);
 }
 
 }  // namespace clampd

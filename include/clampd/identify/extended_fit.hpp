@@ -8,6 +8,7 @@
 
 #include <Eigen/Core>
 
+#include "clampd/base/parallel.hpp"
 #include "clampd/brake/extended_brake.hpp"
 #include "clampd/identify/information.hpp"
 #include "clampd/record/run.hpp"
@@ -54,6 +55,7 @@ struct ExtendedFitOptions {
   bool estimate_noise = true;
   bool hold_parameters = false;  ///< the runs' initial states are all that moves
   std::array<bool, kParameterCount> held{};
+  SpareThreads threads;  ///< for runs beside each other; the result is the same
 };
 
 /// The prediction error method (Procedure 3, on innovations) for a model with any effects: maximum likelihood
@@ -79,7 +81,8 @@ struct StepForecast {
   /// Standard deviations of the parameters; infinite where the data do not tell.
   Eigen::VectorXd sd;
 };
-StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate);
+StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                      const SpareThreads& threads = {});
 
 /// Runs filtered at an estimate. Innovations over their standard deviations: 1 and white if the model is
 /// right.
