@@ -86,6 +86,7 @@ class ExtendedEquations {
   Reached runge_kutta(const T* states, const T& torque, const RowInput& row, double direction,
                       const T& length) const {
     effects_detail::Instant<T> now = start_of(row, direction);
+    now.step_s = effects_detail::value_of(length);
     const T& p0 = states[0];
     const T& v0 = states[1];
     const T half = 0.5 * length;

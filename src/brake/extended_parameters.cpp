@@ -34,6 +34,11 @@ Result<EffectValues> read_effect(const std::string& path, const toml::table& tab
   EffectValues values{effect, {}};
   for (const EffectParameter& parameter : info.parameters) {
     const toml::node* node = table.get(parameter.name);
+    if (node == nullptr && parameter.role == EffectParameter::Role::Refinement) {
+      // What a model does not say of an effect's form is as the effect was before it knew others.
+      values.values.push_back(parameter.starts.front());
+      continue;
+    }
     if (node == nullptr)
       return failure(fmt::format("{}: effect {} lacks its parameter {} ({})", at(path, table), *name,
                                  parameter.name, parameter.description));

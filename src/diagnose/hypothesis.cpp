@@ -27,6 +27,8 @@ constexpr double kModestTorque_Nm = 0.008;
 constexpr double kHelps_nats = 1.0;
 /// A hypothesis that a step by itself would improve by so much got stuck, and a search from there may too.
 constexpr double kStuck_nats = 30.0;
+/// Closer to a bound of what is sensible than by this factor no brake is.
+constexpr double kNearBound = 5.0;
 /// No drive's torque is as noisy as this.
 constexpr double kImpossibleTorque_Nm = 0.05;
 constexpr std::size_t kMostFits = 4;
@@ -37,7 +39,7 @@ constexpr int kRoughIterations = 14;
 
 /// Scan of a periodic torque over the motor angle: finer than what one run over the whole travel resolves.
 constexpr double kScanFirst = 0.4;
-constexpr double kScanLast = 40.0;
+constexpr double kScanLast = 90.0;
 constexpr double kScanStep = 0.12;
 constexpr std::size_t kPeaks = 2;
 constexpr double kNeighbourhood = 0.5;
@@ -149,6 +151,17 @@ Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double 
   return extended;
 }
 
+/// Whether a misfit has pushed one of the seven parameters towards the end of what is sensible.
+bool is_brake_impossible(const Hypothesis& hypothesis) {
+  const ParameterVector& theta = hypothesis.estimate.parameters.base.theta;
+  for (std::size_t i = k2; i < kParameterCount; ++i) {
+    const ParameterInfo& info = kParameterTable[i];
+    const double value = theta[static_cast<Eigen::Index>(i)];
+    if (value < kNearBound * info.lower || value > info.upper / kNearBound) return true;
+  }
+  return false;
+}
+
 void keep_if_better(Hypothesis&& other, Hypothesis& kept) {
   if (!other.possible()) return;
   if (!kept.possible() || other.log_likelihood() > kept.log_likelihood()) kept = std::move(other);
@@ -189,13 +202,20 @@ std::vector<Start> scan(const Orders& orders, const Effect& effect, const Signal
     const Eigen::Index count = std::min(kScanTogether, orders.count - first);
     SignalColumns signals{SignalColumns::Kind::Torque, {}};
     for (const FilteredRun& run : filtered) {
-      Eigen::MatrixXd rows(static_cast<Eigen::Index>(run.position_rad.size()), 2 * count);
-      for (Eigen::Index i = 0; i < count; ++i)
-        for (Eigen::Index k = 0; k < rows.rows(); ++k) {
-          const double angle = orders[first + i] * run.position_rad[static_cast<std::size_t>(k)];
-          rows(k, 2 * i) = -std::sin(angle);
-          rows(k, 2 * i + 1) = -std::cos(angle);
+      const Eigen::Index last = static_cast<Eigen::Index>(run.position_rad.size()) - 1;
+      Eigen::MatrixXd rows(last + 1, 2 * count);
+      for (Eigen::Index k = 0; k <= last; ++k) {
+        const double from = run.position_rad[static_cast<std::size_t>(k)];
+        const double to = run.position_rad[static_cast<std::size_t>(std::min(k + 1, last))];
+        for (Eigen::Index i = 0; i < count; ++i) {
+          // The mean over the way to the next row.
+          const double angle = 0.5 * orders[first + i] * (from + to);
+          const double half = 0.5 * orders[first + i] * (to - from);
+          const double mean = std::abs(half) > 1e-6 ? std::sin(half) / half : 1.0;
+          rows(k, 2 * i) = -mean * std::sin(angle);
+          rows(k, 2 * i + 1) = -mean * std::cos(angle);
         }
+      }
       signals.rows.push_back(std::move(rows));
     }
     const SignalScores scores = scorer.score(signals, 2);
@@ -293,8 +313,9 @@ Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<
 }
 
 bool is_stuck(const Hypothesis& hypothesis) {
+  if (is_torque_impossible(hypothesis) || is_brake_impossible(hypothesis)) return true;
   const StepForecast step = forecast(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
-  return step.after_step - step.log_likelihood > kStuck_nats || is_torque_impossible(hypothesis);
+  return step.after_step - step.log_likelihood > kStuck_nats;
 }
 
 bool is_torque_impossible(const Hypothesis& hypothesis) {
@@ -344,7 +365,10 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
       }
       attempt({values, 0.0}, best.estimate.noise.torque_Nm);
       const bool better = gain() > reached;
-      if (better) attempt_afresh(best.estimate.parameters.effects.back());
+      if (better)
+        attempt_afresh(best.estimate.parameters.effects.back());
+      else if (is_brake_impossible(best))
+        attempt_afresh(values);
       misses = better ? 0 : misses + 1;
       if (misses == kMostMisses) break;
     }

@@ -266,6 +266,113 @@ TEST(Presliding, IsLuGresModel) {
   EXPECT_GT(reversals, 2);
 }
 
+/// A brake in steps of 0.5 us, its friction of the set-valued kind: `push_N(x, v)` of the pads, `friction_Nm(
+/// direction, v, push)`.
+template <class Push, class Friction>
+void expect_same_motion(const EffectValues& effect, const Push& push_N, const Friction& friction_Nm) {
+  const BrakeParameters nominal;
+  const ExtendedBrake brake({nominal, {effect}});
+  ExtendedBrake::State state = brake.settled(-4.0, 0.0, row_at(0));
+  double position = -4.0, velocity = 0.0;
+  int reversals = 0;
+  for (int k = 0; k < 360; ++k) {
+    const Reading reading = brake.read(state, row_at(k));
+    ASSERT_NEAR(reading.force_N, push_N(position, velocity), 5.0) << k;
+    ASSERT_NEAR(reading.velocity_rad_s, velocity, 0.1) << k;
+    const double before = velocity;
+    constexpr int kSteps = 2000;
+    constexpr double kFine_s = kStep_s / kSteps;
+    for (int i = 0; i < kSteps; ++i) {
+      const double push = push_N(position, velocity);
+      const double load = torque_at(k * kStep_s) - nominal.fixed.ratio_m_rad * push;
+      const double sliding = velocity + kFine_s * load / nominal.fixed.inertia_kg_m2;
+      const double direction = sliding < 0.0 ? -1.0 : 1.0;
+      const double held = kFine_s * friction_Nm(direction, velocity, push) / nominal.fixed.inertia_kg_m2;
+      velocity = direction * std::max(0.0, direction * sliding - held);
+      position += kFine_s * velocity;
+    }
+    reversals += before * velocity < 0.0 || (before == 0.0) != (velocity == 0.0);
+    state = brake.advance(state, row_at(k));
+  }
+  EXPECT_GT(reversals, 2);
+}
+
+double elastic_N(double position) {
+  const ParameterVector theta = nominal_parameters();
+  const double x = std::max(0.0, position);
+  return x * x * (theta[k1] * x + theta[k2]);
+}
+
+double friction_of(double sliding_Nm, double resting_Nm, double velocity) {
+  const ParameterVector theta = nominal_parameters();
+  const double speed = velocity / theta[ws];
+  return sliding_Nm + (resting_Nm - sliding_Nm) / (1.0 + speed * speed) + theta[Tv] * std::abs(velocity);
+}
+
+TEST(FrictionAsymmetry, IsConstantOrOfTheDryFrictionOrOfTheSlidingPartAlone) {
+  const ParameterVector theta = nominal_parameters();
+  constexpr double kMore_Nm = 0.01;
+  const auto push = [](double x, double) { return elastic_N(x); };
+  const auto resting = [&](double push_N) { return theta[Ts0] + theta[mus] * push_N; };
+  expect_same_motion({find_effect("friction-asymmetry"), {kMore_Nm, 0.0, 1}}, push,
+                     [&](double direction, double v, double push_N) {
+                       return friction_of(theta[TC], resting(push_N), v) + direction * kMore_Nm;
+                     });
+  expect_same_motion({find_effect("friction-asymmetry"), {kMore_Nm, 0.0, 2}}, push,
+                     [&](double direction, double v, double push_N) {
+                       const double share = 1.0 + direction * kMore_Nm / theta[TC];
+                       return friction_of(share * theta[TC], share * resting(push_N), v);
+                     });
+  expect_same_motion({find_effect("friction-asymmetry"), {kMore_Nm, 0.0, 3}}, push,
+                     [&](double direction, double v, double push_N) {
+                       return friction_of(theta[TC] + direction * kMore_Nm, resting(push_N), v);
+                     });
+}
+
+TEST(StiffnessHysteresis, MayGoByTheSpeed) {
+  const ParameterVector theta = nominal_parameters();
+  constexpr double kShare = 0.03, kTravel_rad = 0.05;
+  constexpr double kSpeed = kTravel_rad / 0.01;
+  const auto friction = [&](double, double v, double push_N) {
+    return friction_of(theta[TC], theta[Ts0] + theta[mus] * push_N, v);
+  };
+  expect_same_motion(
+      {find_effect("stiffness-hysteresis"), {kShare, kTravel_rad, 2}},
+      [&](double x, double v) {
+        return elastic_N(x) * (1.0 - kShare * std::max(0.0, std::tanh(-v / kSpeed)));
+      },
+      friction);
+  expect_same_motion(
+      {find_effect("stiffness-hysteresis"), {kShare, kTravel_rad, 3}},
+      [&](double x, double v) { return elastic_N(x) * (1.0 - 0.5 * kShare * (1.0 - std::tanh(v / kSpeed))); },
+      friction);
+}
+
+/// Spinning free, two periods of the cogging a row.
+TEST(Cogging, IsRightWhereAStepTakesInWholePeriods) {
+  constexpr double kAmplitude_Nm = 0.05, kOrder = 60.0;
+  const BrakeParameters nominal;
+  const auto& theta = nominal.theta;
+  const ExtendedBrake brake({nominal, {{find_effect("cogging"), {kAmplitude_Nm, 0.0, kOrder}}}});
+  ExtendedBrake::State state = brake.settled(-90.0, 210.0, row_at(0));
+  double position = -90.0, velocity = 210.0;
+  for (int k = 0; k < 300; ++k) {
+    RowInput row = row_at(k);
+    row.torque_Nm = 0.17;
+    ASSERT_NEAR(state[1], velocity, 0.02) << k;
+    ASSERT_LT(position, 0.0);
+    constexpr int kSteps = 2000;
+    for (int i = 0; i < kSteps; ++i) {
+      const double wave = kAmplitude_Nm * std::sin(kOrder * position);
+      const double friction = friction_of(theta[TC], theta[Ts0], velocity);
+      velocity += kStep_s / kSteps * (row.torque_Nm - friction - wave) / nominal.fixed.inertia_kg_m2;
+      position += kStep_s / kSteps * velocity;
+    }
+    state = brake.advance(state, row);
+  }
+  EXPECT_GT(std::abs(kOrder * velocity * kStep_s), 6.3) << "so that the test can fail";
+}
+
 TEST(ExtendedParameters, SurviveAFile) {
   ExtendedParameters parameters;
   parameters.base.theta[TC] *= 1.1;

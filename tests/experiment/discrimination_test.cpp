@@ -128,7 +128,7 @@ INSTANTIATE_TEST_SUITE_P(
              "backlash",
              0.05,
              {"backlash", {0.05}},
-             {"stiffness-hysteresis", {0.01, 0.5}}},
+             {"stiffness-hysteresis", {0.01, 0.5, 1.0}}},
         Case{"RelaxationOrLag",
              "pad-relaxation",
              0.02,
@@ -152,7 +152,7 @@ RivalModel model(std::string name, EffectValues values) {
 TEST(Discrimination, ExactTwinsCannotBeSettledAndItSaysSo) {
   const std::vector<RivalModel> twins = {
       model("torque-offset", {find_effect("torque-offset"), {0.01}}),
-      model("friction-asymmetry", {find_effect("friction-asymmetry"), {0.01, 0.0}})};
+      model("friction-asymmetry", {find_effect("friction-asymmetry"), {0.01, 0.0, 1.0}})};
   const Result<Discrimination> design = design_discrimination(twins, {{50.0, 0.8}, 0.01}, {}, quick());
   ASSERT_TRUE(design) << design.error().message;
   EXPECT_FALSE(design->settles);
@@ -165,7 +165,7 @@ TEST(Discrimination, CountsTheTwoOfThreeThatAreHardestToTellApart) {
   const std::vector<RivalModel> rivals = {
       model("torque-offset", {find_effect("torque-offset"), {0.01}}),
       model("backlash", {find_effect("backlash"), {0.3}}),
-      model("friction-asymmetry", {find_effect("friction-asymmetry"), {0.01, 0.0}})};
+      model("friction-asymmetry", {find_effect("friction-asymmetry"), {0.01, 0.0, 1.0}})};
   const auto trajectory = make_manoeuvre("apply-release", {}, optimal()).value();
   const NoiseLevels noise{{50.0, 0.8}, 0.01};
   const DiscriminationValue all = evaluate_discrimination(trajectory, rivals, noise, {}).value();
@@ -197,7 +197,7 @@ TEST(Discrimination, WhatTheRunsSoFarTellHelps) {
 TEST(Discrimination, RepeatsExactlyWhateverTheThreads) {
   const std::vector<RivalModel> rivals = {
       model("backlash", {find_effect("backlash"), {0.05}}),
-      model("stiffness-hysteresis", {find_effect("stiffness-hysteresis"), {0.01, 0.5}})};
+      model("stiffness-hysteresis", {find_effect("stiffness-hysteresis"), {0.01, 0.5, 1.0}})};
   DiscriminationOptions options = quick();
   options.prototypes_kept = 2;
   options.refinement_evaluations = 12;

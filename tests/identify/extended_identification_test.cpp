@@ -145,7 +145,7 @@ TEST(ExtendedIdentification, NamesWhatTheRunsDoNotDetermine) {
   const Runs runs = optimal_runs("", 0.0, 1);
   const Estimate estimate = identify_extended(runs, model_with("friction-drift", {0.0}), {});
   EXPECT_EQ(estimate.termination, Termination::NotIdentifiable);
-  EXPECT_THAT(estimate.message, HasSubstr("friction-drift.per_run"));
+  EXPECT_THAT(estimate.message, HasSubstr("friction-drift.coulomb"));
   EXPECT_TRUE(std::isnan(estimate.effects.at(0).value));
   EXPECT_TRUE(std::isfinite(estimate.parameters.theta[k2]));
 }

@@ -95,7 +95,7 @@ TEST(Settle, RunsTheExperimentAndNamesTheCause) {
 TEST(Settle, TwinsAreNotDrivenFor) {
   const Runs runs = two_optimal_runs(plant_with("torque-offset", 0.02));
   const Diagnosis before = ambiguous(
-      runs, {{find_effect("torque-offset"), {0.02}}, {find_effect("friction-asymmetry"), {0.02, 0.0}}});
+      runs, {{find_effect("torque-offset"), {0.02}}, {find_effect("friction-asymmetry"), {0.02, 0.0, 1.0}}});
   const auto settlement = settle(before, runs,
                                  [](const Trajectory&, int) -> Driven {
                                    ADD_FAILURE() << "nothing was to be driven";

@@ -46,9 +46,10 @@ struct TorqueInput {
 template <class T>
 struct Instant {
   double time_s, run;
-  double direction;  ///< +1 or -1
-  T elapsed_s;       ///< since the start of the stretch
-  T travel;          ///< since then, signed (rad)
+  double direction;     ///< +1 or -1
+  double step_s = 0.0;  ///< of the integration that asks; 0 outside of one
+  T elapsed_s;          ///< since the start of the stretch
+  T travel;             ///< since then, signed (rad)
   T position, velocity;
   // force path
   T pad_position;

@@ -7,6 +7,8 @@ namespace {
 using Role = EffectParameter::Role;
 
 class FrictionDrift final : public EquationsOf<FrictionDrift> {
+  enum Parameter { kCoulomb, kViscous, kStatic, kRuns };
+
  public:
   const EffectInfo& info() const override {
     static const EffectInfo kInfo{
@@ -14,15 +16,12 @@ class FrictionDrift final : public EquationsOf<FrictionDrift> {
         .location = Location::TorqueBalance,
         .cause = "the friction changes from run to run, as by warming up",
         .excitation = "several runs",
-        .parameters = {{.name = "per_run",
-                        .unit = "1",
-                        .description = "relative change of TC and Tv from the first run to the next",
-                        .lower = -0.3,
-                        .upper = 0.5,
-                        .scale = 0.005},
+        .parameters = {change("coulomb", "relative change of TC from the first run to the next"),
+                       change("viscous", "the same of Tv"),
+                       change("static", "the same of Ts0 and mus"),
                        {.name = "runs",
                         .unit = "runs",
-                        .description = "after which the change has settled to a third",
+                        .description = "after which the changes have settled to a third",
                         .role = Role::Shape,
                         .lower = 0.7,
                         .upper = 1e4,
@@ -34,10 +33,17 @@ class FrictionDrift final : public EquationsOf<FrictionDrift> {
   template <class T>
   void friction(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
     using std::exp;
-    const T& settling = own.parameters[1];
-    const T factor = 1.0 + own.parameters[0] * settling * (1.0 - exp(-instant.run / settling));
-    instant.coulomb_Nm *= factor;
-    instant.viscous_Nm_s_rad *= factor;
+    const T& settling = own.parameters[kRuns];
+    const T runs = settling * (1.0 - exp(-instant.run / settling));
+    instant.coulomb_Nm *= 1.0 + own.parameters[kCoulomb] * runs;
+    instant.viscous_Nm_s_rad *= 1.0 + own.parameters[kViscous] * runs;
+    instant.static_Nm *= 1.0 + own.parameters[kStatic] * runs;
+  }
+
+ private:
+  static EffectParameter change(std::string_view name, std::string_view description) {
+    return {
+        .name = name, .unit = "1", .description = description, .lower = -0.3, .upper = 0.5, .scale = 0.005};
   }
 };
 

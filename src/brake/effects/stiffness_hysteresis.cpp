@@ -1,3 +1,5 @@
+#include <cmath>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -7,43 +9,70 @@ namespace {
 using Role = EffectParameter::Role;
 
 class StiffnessHysteresis final : public EquationsOf<StiffnessHysteresis> {
+  enum Parameter { kShare, kTravel, kLaw };
+  enum class Law { Travel = 1, ReleasingSpeed, Speed };
+  /// By the laws of speed, the one at which the loop turns round is the travel within this time.
+  static constexpr double kWithin_s = 0.01;
+
  public:
   const EffectInfo& info() const override {
-    static const EffectInfo kInfo{.name = "stiffness-hysteresis",
-                                  .location = Location::Stiffness,
-                                  .cause = "the pads push back less on release than on apply",
-                                  .excitation = "reversals under load",
-                                  .parameters = {{.name = "share",
-                                                  .unit = "1",
-                                                  .description = "of the force that is missing on release",
-                                                  .lower = 0,
-                                                  .upper = 0.7,
-                                                  .scale = 0.02},
-                                                 {.name = "travel",
-                                                  .unit = "rad",
-                                                  .description = "that turns the loop round",
-                                                  .role = Role::Shape,
-                                                  .lower = 0.005,
-                                                  .upper = 20,
-                                                  .scale = 0.2,
-                                                  .logarithmic = true,
-                                                  .starts = {0.1, 0.5, 2.5}}},
-                                  .states = 1};
+    static const EffectInfo kInfo{
+        .name = "stiffness-hysteresis",
+        .location = Location::Stiffness,
+        .cause = "the pads push back less on release than on apply",
+        .excitation = "reversals under load",
+        .parameters = {{.name = "share",
+                        .unit = "1",
+                        .description = "of the force that is missing on release",
+                        .lower = 0,
+                        .upper = 0.7,
+                        .scale = 0.02},
+                       {.name = "travel",
+                        .unit = "rad",
+                        .description = "that turns the loop round (laws 2 and 3: within 10 ms)",
+                        .role = Role::Shape,
+                        .lower = 0.005,
+                        .upper = 20,
+                        .scale = 0.2,
+                        .logarithmic = true,
+                        .starts = {0.1, 0.5, 2.5}},
+                       {.name = "law",
+                        .unit = "",
+                        .description = "1 travel turns it round; 2 missing while the pads "
+                                       "move back; 3 half of it at rest, too",
+                        .role = Role::Refinement,
+                        .lower = 1,
+                        .upper = 3,
+                        .starts = {1, 2, 3}}},
+        .states = 1};
     return kInfo;
   }
   template <class T>
   void force(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
-    const T side =
-        effects_detail::turned_round(own.states[0], instant.travel, instant.direction, own.parameters[1]);
-    instant.force_N *= 1.0 - 0.5 * own.parameters[0] * (1.0 - side);
+    instant.force_N *= 1.0 - 0.5 * own.parameters[kShare] * (1.0 - side(instant, own));
   }
   template <class T>
   void remember(const effects_detail::Instant<T>& end, const effects_detail::Own<T>& own, T* states) const {
-    states[0] = effects_detail::turned_round(own.states[0], end.travel, end.direction, own.parameters[1]);
+    states[0] =
+        effects_detail::turned_round(own.states[0], end.travel, end.direction, own.parameters[kTravel]);
   }
   template <class T>
   void settle(const effects_detail::Instant<T>&, const effects_detail::Own<T>&, T* states) const {
     states[0] = T(-1.0);
+  }
+
+ private:
+  /// Of the loop: 1 on apply, -1 on release.
+  template <class T>
+  static T side(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) {
+    using std::tanh;
+    const T& travel = own.parameters[kTravel];
+    const auto law = static_cast<Law>(std::lround(effects_detail::value_of(own.parameters[kLaw])));
+    if (law == Law::Travel)
+      return effects_detail::turned_round(own.states[0], instant.travel, instant.direction, travel);
+    const T by_speed = tanh(instant.velocity * kWithin_s / travel);
+    if (law == Law::Speed) return by_speed;
+    return by_speed < 0.0 ? T(1.0 + 2.0 * by_speed) : T(1.0);
   }
 };
 
