@@ -25,6 +25,8 @@ constexpr double kStuck = 0.85;
 constexpr double kSuspiciousTorque_Nm = 0.02;
 constexpr double kModestTorque_Nm = 0.008;
 constexpr double kHelps_nats = 1.0;
+/// A fit that a step would improve by so much has not come to its end.
+constexpr double kNotEnded_nats = 3.0;
 /// A hypothesis that a step by itself would improve by so much got stuck, and a search from there may too.
 constexpr double kStuck_nats = 30.0;
 /// Closer to a bound of what is sensible than by this factor no brake is.
@@ -165,6 +167,32 @@ bool is_brake_impossible(const Hypothesis& hypothesis) {
 void keep_if_better(Hypothesis&& other, Hypothesis& kept) {
   if (!other.possible()) return;
   if (!kept.possible() || other.log_likelihood() > kept.log_likelihood()) kept = std::move(other);
+}
+
+/// What a step of all its parameters together would still bring (nats).
+double promise_of(const Hypothesis& hypothesis) {
+  const StepForecast step = forecast(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
+  return step.after_step - step.log_likelihood;
+}
+
+/// Fits it to the end. Noise of the torque and parameters can answer each other in ever smaller steps: then
+/// once more from a filter that believes the torque. A kink can end a descent where a step promises more.
+void settle(Hypothesis& hypothesis) {
+  refit(hypothesis);
+  if (!hypothesis.estimate.settled && hypothesis.estimate.noise.torque_Nm > kModestTorque_Nm) {
+    Hypothesis again = hypothesis;
+    again.estimate.noise.torque_Nm = kModestTorque_Nm;
+    refit(again);
+    keep_if_better(std::move(again), hypothesis);
+  }
+  for (int more = 0; more < kMostMisses && hypothesis.possible() && promise_of(hypothesis) > kNotEnded_nats;
+       ++more) {
+    Hypothesis further = hypothesis;
+    refit(further);
+    const bool helps = further.log_likelihood() > hypothesis.log_likelihood() + kHelps_nats;
+    keep_if_better(std::move(further), hypothesis);
+    if (!helps) break;
+  }
 }
 
 /// With this effect's choices of these roles made otherwise, one at a time.
@@ -314,8 +342,7 @@ Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<
 
 bool is_stuck(const Hypothesis& hypothesis) {
   if (is_torque_impossible(hypothesis) || is_brake_impossible(hypothesis)) return true;
-  const StepForecast step = forecast(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
-  return step.after_step - step.log_likelihood > kStuck_nats;
+  return promise_of(hypothesis) > kStuck_nats;
 }
 
 bool is_torque_impossible(const Hypothesis& hypothesis) {
@@ -383,9 +410,9 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
 
 void finish(Candidate& candidate, const Hypothesis& hypothesis) {
   if (!candidate.fitted.possible()) return;
-  if (!candidate.fitted.estimate.settled) {
+  if (!candidate.fitted.estimate.settled || promise_of(candidate.fitted) > kNotEnded_nats) {
     Hypothesis further = candidate.fitted;
-    refit(further);
+    settle(further);
     keep_if_better(std::move(further), candidate.fitted);
   }
   if (candidate.fitted.estimate.noise.torque_Nm > kSuspiciousTorque_Nm) {
@@ -449,7 +476,7 @@ Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<c
       move_by(delays_of(left), reduced.runs);
     }
   }
-  refit(reduced);
+  settle(reduced);
   return reduced;
 }
 

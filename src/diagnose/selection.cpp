@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include <fmt/format.h>
+#include <Eigen/Cholesky>
 
 #include "clampd/base/parallel.hpp"
 #include "src/diagnose/evidence.hpp"
@@ -21,6 +23,10 @@ constexpr double kPromising = 0.2;
 constexpr double kBelowAlarm = 3.5;
 /// Nor is a further one worth a fit that promises less than this share of what would matter.
 constexpr double kLeastPromised = 0.25;
+/// An effect that is there is known to be there, by this share of an alarm's evidence.
+constexpr double kKnown = 0.5;
+/// Two fits of one model are the same within these.
+constexpr double kSame_nats = 2.0;
 /// Relative error of a harmonic's order.
 constexpr double kHarmonic = 0.03;
 /// Fitted to the end are those not behind the best rough fit by this share and these nats.
@@ -153,6 +159,41 @@ std::vector<Candidate> rivals_among(const std::vector<Candidate>& candidates, st
   return rivals;
 }
 
+/// Tried for its choices, when it was judged.
+double alternatives_of(std::string_view name, const Selection& selection) {
+  for (const std::vector<Candidate>& stage : selection.stages)
+    for (const Candidate& candidate : stage)
+      if (candidate.name() == name) return candidate.alternatives;
+  return 1.0;
+}
+
+/// Nats that taking its strengths back to neutral would cost, by how well they are known: what the fit's
+/// curvature says of an effect, however its likelihood came about. Infinite for one without strengths.
+double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
+  const std::vector<EffectValues>& present = hypothesis.estimate.parameters.effects;
+  auto at = static_cast<Eigen::Index>(kParameterCount);
+  for (std::size_t e = 0; e < effect; ++e)
+    for (const EffectParameter& parameter : info_of(*present[e].effect).parameters)
+      at += is_estimated(parameter);
+  std::vector<Eigen::Index> places;
+  std::vector<double> distances;
+  const std::vector<EffectParameter>& parameters = info_of(*present[effect].effect).parameters;
+  for (std::size_t i = 0; i < parameters.size(); ++i) {
+    if (parameters[i].role == EffectParameter::Role::Strength) {
+      places.push_back(at);
+      distances.push_back(present[effect].values[i] - parameters[i].neutral);
+    }
+    at += is_estimated(parameters[i]);
+  }
+  const Eigen::MatrixXd& covariance = hypothesis.estimate.covariance;
+  if (places.empty() || covariance.rows() < at) return std::numeric_limits<double>::infinity();
+  const Eigen::MatrixXd known = covariance(places, places);
+  const Eigen::VectorXd distance =
+      Eigen::Map<const Eigen::VectorXd>(distances.data(), static_cast<Eigen::Index>(distances.size()));
+  const double nats = 0.5 * distance.dot(known.ldlt().solve(distance));
+  return std::isfinite(nats) ? nats : std::numeric_limits<double>::infinity();
+}
+
 }  // namespace
 
 double alarm_level(double false_alarm) {
@@ -189,16 +230,32 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
   int exchanges = 0;
   bool changed = false;
   for (std::size_t e = 0; e < selection.effects.size() && selection.effects.size() > 1;) {
-    // Without the last one it is where the search was before, and what else was there to add is known.
-    const bool as_before = exchanges == 0 && selection.effects.size() == added && e + 1 == added;
-    const Hypothesis reduced =
-        as_before ? selection.stages[e - 1].front().fitted : without(selection.chosen, e, runs);
+    Hypothesis reduced = without(selection.chosen, e, runs);
+    // Without the last one it is where the search was before, and what else was there to add is known; unless
+    // that was no more than a poor fit of the others.
+    bool as_before = exchanges == 0 && selection.effects.size() == added && e + 1 == added;
+    if (as_before) {
+      const Hypothesis& before = selection.stages[e - 1].front().fitted;
+      as_before = !reduced.possible() || reduced.log_likelihood() < before.log_likelihood() + kSame_nats;
+      if (as_before) reduced = before;
+    }
     // A fit that got lost says nothing against the effect.
     if (!reduced.possible() || reduced.log_likelihood() < selection.base.log_likelihood()) {
       ++e;
       continue;
     }
     const std::string name = selection.effects[e].name;
+    const double gain = selection.chosen.log_likelihood() - reduced.log_likelihood();
+    const double alarm = selector.alarm(selection.effects.size() - 1);
+    double evidence =
+        evidence_of(gain, selection.chosen.degrees - reduced.degrees, alternatives_of(name, selection));
+    if (evidence < alarm || known_strength(selection.chosen, e) < kKnown * alarm) {
+      changed = true;
+      selection.chosen = reduced;
+      selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
+      e = 0;
+      continue;
+    }
     const double next = selection.share + 0.4 * (0.97 - selection.share);
     const std::vector<Candidate> candidates =
         as_before ? selection.stages[e]
@@ -206,22 +263,11 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
     selection.share = next;
     const auto itself = std::find_if(candidates.begin(), candidates.end(),
                                      [&](const Candidate& candidate) { return candidate.name() == name; });
-    const double gain = selection.chosen.log_likelihood() - reduced.log_likelihood();
-    Selected& selected = selection.effects[e];
-    double evidence = evidence_of(gain, selection.chosen.degrees - reduced.degrees,
-                                  itself == candidates.end() ? 1.0 : itself->alternatives);
-    const double alarm = selector.alarm(selection.effects.size() - 1);
-    if (evidence < alarm) {
-      changed = true;
-      selection.chosen = reduced;
-      selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
-      e = 0;
-      continue;
-    }
     // A fit of the same name may have ended higher than where the search came from.
     if (itself != candidates.end() && itself->is_fitted && itself->evidence > evidence &&
         itself->fitted.possible())
       evidence = itself->evidence;
+    Selected& selected = selection.effects[e];
     selected.gain = gain;
     selected.evidence = evidence;
     selected.rivals = rivals_among(candidates, name, evidence, selection.chosen, alarm);

@@ -22,6 +22,25 @@ const EstimatedParameter* parameter_of(const NamedEffect& effect, std::string_vi
   return nullptr;
 }
 
+/// Of the strengths the one that is known to be there, by its name where there are several.
+std::string strength_of(const NamedEffect& effect) {
+  const std::vector<EffectParameter>& table = info_of(*find_effect(effect.name)).parameters;
+  const EstimatedParameter* strongest = &effect.parameters.front();
+  double most = 0.0;
+  int count = 0;
+  for (std::size_t i = 0; i < table.size(); ++i) {
+    if (table[i].role != EffectParameter::Role::Strength) continue;
+    ++count;
+    const EstimatedParameter& parameter = effect.parameters[i];
+    const double certainty = std::abs(parameter.value - table[i].neutral) / parameter.sd;
+    if (certainty > most) {
+      most = certainty;
+      strongest = &parameter;
+    }
+  }
+  return count > 1 ? fmt::format("{} {}", strongest->name, size_of(*strongest)) : size_of(*strongest);
+}
+
 std::string words_of(const NamedEffect& effect) {
   const std::string cause(info_of(*find_effect(effect.name)).cause);
   if (effect.name == "channel-skew") {
@@ -51,7 +70,9 @@ std::string words_of(const NamedEffect& effect) {
     return fmt::format("single readings of {} are far off: {} of them",
                        effect.parameters[2].value == 1.0 ? "clamp force" : "velocity",
                        size_of(effect.parameters[0]));
-  return fmt::format("{} ({})", cause, size_of(effect.parameters.front()));
+  if (effect.name == "friction-drift")
+    return fmt::format("{} ({} a run at first)", cause, strength_of(effect));
+  return fmt::format("{} ({})", cause, strength_of(effect));
 }
 
 std::string capital(std::string text) {
