@@ -109,7 +109,7 @@ class Presliding final : public EquationsOf<Presliding> {
     if (law == Law::LuGre) {
       // They follow a level that changes steadily over the stretch.
       const T level = instant.level_Nm / instant.coulomb_Nm;
-      const T reaches = instant.direction * instant.travel / (deflection * level);
+      const T reaches = instant.direction * instant.travel / (deflection * 0.5 * (level + own.states[1]));
       using std::exp;
       const T left = exp(-reaches);
       const T lagging = reaches > 1e-4 ? T((1.0 - left) / reaches) : T(1.0 - 0.5 * reaches);
