@@ -48,6 +48,11 @@ std::vector<double> starts_of(const Effect& effect, std::size_t parameter, std::
   return effect.starts(parameter, runs);
 }
 
+std::vector<double> chosen_otherwise(const Effect& effect, std::vector<double> values, std::size_t parameter,
+                                     double choice) {
+  return effect.chosen_otherwise(std::move(values), parameter, choice);
+}
+
 EffectDelays delays_of(const EffectValues& values) {
   return values.effect->delays(values.values);
 }

@@ -186,6 +186,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
         "the base model cannot follow these runs at all: check columns and units, and that J and N are those "
         "of "
         "this brake");
+  settle(base);
   progress(0.12, "looking at what is left");
   const Residuals before = examine(base);
 

@@ -175,26 +175,6 @@ double promise_of(const Hypothesis& hypothesis) {
   return step.after_step - step.log_likelihood;
 }
 
-/// Fits it to the end. Noise of the torque and parameters can answer each other in ever smaller steps: then
-/// once more from a filter that believes the torque. A kink can end a descent where a step promises more.
-void settle(Hypothesis& hypothesis) {
-  refit(hypothesis);
-  if (!hypothesis.estimate.settled && hypothesis.estimate.noise.torque_Nm > kModestTorque_Nm) {
-    Hypothesis again = hypothesis;
-    again.estimate.noise.torque_Nm = kModestTorque_Nm;
-    refit(again);
-    keep_if_better(std::move(again), hypothesis);
-  }
-  for (int more = 0; more < kMostMisses && hypothesis.possible() && promise_of(hypothesis) > kNotEnded_nats;
-       ++more) {
-    Hypothesis further = hypothesis;
-    refit(further);
-    const bool helps = further.log_likelihood() > hypothesis.log_likelihood() + kHelps_nats;
-    keep_if_better(std::move(further), hypothesis);
-    if (!helps) break;
-  }
-}
-
 /// With this effect's choices of these roles made otherwise, one at a time.
 void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std::initializer_list<Role> roles,
                           std::vector<Hypothesis>& list) {
@@ -206,7 +186,7 @@ void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std:
     for (const double choice : info.parameters[i].starts) {
       Hypothesis other = hypothesis;
       EffectValues& chosen = other.estimate.parameters.effects[effect];
-      chosen.values[i] = choice;
+      chosen.values = chosen_otherwise(*values.effect, values.values, i, choice);
       if (choice == values.values[i] || !delays_of(chosen).none()) continue;
       refit(other, kRoughIterations);
       if (other.possible()) list.push_back(std::move(other));
@@ -383,7 +363,7 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
     for (std::size_t other = 1; other < parameters[i].starts.size(); ++other) {
       const double reached = gain();
       EffectValues values = best.estimate.parameters.effects.back();
-      values.values[i] = parameters[i].starts[other];
+      values.values = chosen_otherwise(*candidate.effect, values.values, i, parameters[i].starts[other]);
       for (std::size_t j = 0; j < parameters.size(); ++j) {
         // From a bound a search hardly gets away.
         const double width = parameters[j].upper - parameters[j].lower;
@@ -394,7 +374,7 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
       const bool better = gain() > reached;
       if (better)
         attempt_afresh(best.estimate.parameters.effects.back());
-      else if (is_brake_impossible(best))
+      else if (is_brake_impossible(best) || is_brake_impossible(hypothesis))
         attempt_afresh(values);
       misses = better ? 0 : misses + 1;
       if (misses == kMostMisses) break;
@@ -410,11 +390,9 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
 
 void finish(Candidate& candidate, const Hypothesis& hypothesis) {
   if (!candidate.fitted.possible()) return;
-  if (!candidate.fitted.estimate.settled || promise_of(candidate.fitted) > kNotEnded_nats) {
-    Hypothesis further = candidate.fitted;
-    settle(further);
-    keep_if_better(std::move(further), candidate.fitted);
-  }
+  Hypothesis settled = candidate.fitted;
+  settle(settled);
+  keep_if_better(std::move(settled), candidate.fitted);
   if (candidate.fitted.estimate.noise.torque_Nm > kSuspiciousTorque_Nm) {
     // From a filter that believes the torque: where its own noise hid the effect. As long as that helps.
     std::vector<EffectValues> from{candidate.fitted.estimate.parameters.effects.back()};
@@ -459,6 +437,35 @@ void refit(Hypothesis& hypothesis, int max_iterations) {
   hypothesis.estimate = fit_extended(hypothesis.runs, hypothesis.estimate, options);
 }
 
+void settle(Hypothesis& hypothesis) {
+  if (hypothesis.estimate.settled && promise_of(hypothesis) < kNotEnded_nats) return;
+  refit(hypothesis);
+  // Noise of the torque and parameters can answer each other in ever smaller steps: then once more from a
+  // filter that believes the torque.
+  if (!hypothesis.estimate.settled && hypothesis.estimate.noise.torque_Nm > kModestTorque_Nm) {
+    Hypothesis again = hypothesis;
+    again.estimate.noise.torque_Nm = kModestTorque_Nm;
+    refit(again);
+    keep_if_better(std::move(again), hypothesis);
+  }
+  // A kink can end a descent where a step promises more.
+  for (int more = 0; more < kMostMisses && hypothesis.possible() && promise_of(hypothesis) > kNotEnded_nats;
+       ++more) {
+    Hypothesis further = hypothesis;
+    refit(further);
+    const bool helps = further.log_likelihood() > hypothesis.log_likelihood() + kHelps_nats;
+    keep_if_better(std::move(further), hypothesis);
+    if (!helps) break;
+  }
+  if (hypothesis.possible() && is_stuck(hypothesis)) {
+    Hypothesis afresh = hypothesis;
+    afresh.estimate.parameters.base.theta = nominal_parameters();
+    afresh.estimate.noise.torque_Nm = kModestTorque_Nm;
+    refit(afresh);
+    keep_if_better(std::move(afresh), hypothesis);
+  }
+}
+
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded) {
   Hypothesis reduced;
   reduced.threads = hypothesis.threads;
@@ -476,6 +483,7 @@ Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<c
       move_by(delays_of(left), reduced.runs);
     }
   }
+  reduced.estimate.settled = false;
   settle(reduced);
   return reduced;
 }

@@ -68,6 +68,9 @@ bool is_torque_impossible(const Hypothesis& hypothesis);
 /// Fits to the end what fit() began.
 void finish(Candidate& candidate, const Hypothesis& hypothesis);
 
+/// Fits it to the end, if it is not there.
+void settle(Hypothesis& hypothesis);
+
 /// Fits the hypothesis anew with its effects as they are.
 void refit(Hypothesis& hypothesis, int max_iterations = ExtendedFitOptions{}.max_iterations);
 

@@ -101,15 +101,25 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
   const auto good = [&](const Attempt& attempt) {
     return attempt.settled && attempt.white && output_errors.plausible(attempt.variances);
   };
-  // A filter can call almost any parameters good if only it believes in enough torque noise. Where output
-  // errors got lost, as in slow motion under load, likelihood must choose among several starts.
+  const auto consider = [&](Attempt&& other) {
+    if (other.criterion < best.criterion) best = std::move(other);
+  };
+  // A filter can call almost any parameters good if only it believes in enough torque noise: the output
+  // errors from several starts say more. Where those got lost, as in slow motion under load, likelihood must
+  // choose.
   if (lost || !good(best)) {
-    const Variances start = output_errors.variances_without_model();
-    for (const ParameterVector& theta : output_errors.other_starts()) {
-      Attempt other = search.attempt(fit.start_from(theta), start);
-      const bool enough = good(other);
-      if (other.criterion < best.criterion) best = std::move(other);
-      if (enough) break;
+    OutputErrorAttempt thorough = output_errors.best();
+    const bool all_lost = output_errors.poor(thorough);
+    if (std::isfinite(thorough.score))
+      consider(search.attempt(thorough.unknowns, output_errors.noise_at(thorough).variances));
+    if (all_lost || !good(best)) {
+      const Variances start = output_errors.variances_without_model();
+      for (const ParameterVector& theta : output_errors.other_starts()) {
+        Attempt other = search.attempt(fit.start_from(theta), start);
+        const bool enough = good(other);
+        consider(std::move(other));
+        if (enough) break;
+      }
     }
   }
   estimate.iterations = output_errors.iterations() + search.iterations();

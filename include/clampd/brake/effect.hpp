@@ -72,6 +72,10 @@ const EffectInfo& info_of(const Effect& effect);
 /// where they do not.
 std::vector<double> starts_of(const Effect& effect, std::size_t parameter, std::span<const Run> runs);
 
+/// Values of an effect that mean about the same once one of its parameters (index) is chosen otherwise.
+std::vector<double> chosen_otherwise(const Effect& effect, std::vector<double> values, std::size_t parameter,
+                                     double choice);
+
 /// One effect as part of a model: a value for each of its parameters, SI.
 struct EffectValues {
   const Effect* effect = nullptr;

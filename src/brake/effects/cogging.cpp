@@ -1,5 +1,3 @@
-#include <cmath>
-
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {

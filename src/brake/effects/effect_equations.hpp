@@ -133,6 +133,12 @@ class Effect : public effects_detail::Equations<double>, public effects_detail::
   virtual std::vector<double> starts(std::size_t parameter, std::span<const Run>) const {
     return info().parameters[parameter].starts;
   }
+  /// Values that mean about the same once one of the parameters (index) is chosen otherwise.
+  virtual std::vector<double> chosen_otherwise(std::vector<double> values, std::size_t parameter,
+                                               double choice) const {
+    values[parameter] = choice;
+    return values;
+  }
   virtual EffectDelays delays(std::span<const double> values) const {
     (void)values;
     return {};

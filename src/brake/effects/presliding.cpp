@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "clampd/brake/parameters.hpp"
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -51,6 +52,20 @@ class Presliding final : public EquationsOf<Presliding> {
     return kInfo;
   }
   bool is_stiff() const override { return true; }
+  /// The same stiffness under a medium load.
+  std::vector<double> chosen_otherwise(std::vector<double> values, std::size_t parameter,
+                                       double choice) const override {
+    constexpr double kLoad_N = 1e4;
+    const ParameterVector theta = nominal_parameters();
+    const double level = (theta[Ts0] + theta[mus] * kLoad_N) / theta[TC];
+    const auto is_lugre = [](double law) { return static_cast<Law>(std::lround(law)) == Law::LuGre; };
+    if (is_lugre(choice) && !is_lugre(values[parameter])) values[kDeflection] /= level;
+    if (!is_lugre(choice) && is_lugre(values[parameter])) values[kDeflection] *= level;
+    const EffectParameter& deflection = info().parameters[kDeflection];
+    values[kDeflection] = std::clamp(values[kDeflection], deflection.lower, deflection.upper);
+    values[parameter] = choice;
+    return values;
+  }
   int substeps(const effects_detail::Own<double>& own, const effects_detail::Instant<double>& now,
                double acceleration) const override {
     constexpr int kFewest = 4, kMost = 24;
