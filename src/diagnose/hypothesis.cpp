@@ -45,6 +45,8 @@ constexpr double kScanLast = 90.0;
 constexpr double kScanStep = 0.12;
 constexpr std::size_t kPeaks = 2;
 constexpr double kNeighbourhood = 0.5;
+/// A second period beside one that promises this share of what the first has brought may be the true one.
+constexpr double kStandsOut = 0.1;
 constexpr double kFineStep = 0.025;
 constexpr Eigen::Index kScanTogether = 64;  // orders that fit the cache
 
@@ -411,7 +413,7 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
     Candidate beside;
     beside.effect = candidate.effect;
     add_peaks(candidate.fitted, beside);
-    if (!beside.starts.empty() && beside.starts.front().predicted_gain > kWorthAFit * candidate.gain) {
+    if (!beside.starts.empty() && beside.starts.front().predicted_gain > kStandsOut * candidate.gain) {
       const Hypothesis both = fitted_from(beside.starts.front(), candidate.fitted,
                                           candidate.fitted.estimate.noise.torque_Nm, kRoughIterations);
       if (both.possible())
