@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include "clampd/identify/prediction_error.hpp"
 #include "support/blind/blind_set.hpp"
 
 namespace clampd {
@@ -87,6 +88,25 @@ TEST_P(HiddenPairs, AreBothNamed) {
   ASSERT_EQ(hidden.answer.effects.size(), 2u);
   for (const blind::HiddenEffect& effect : hidden.answer.effects)
     EXPECT_TRUE(names(diagnosis, effect.name)) << effect.name << ": " << diagnosis.summary;
+}
+
+/// A brake whose Stribeck velocity is 0.4 of nominal: output errors from the nominal one get lost, and a
+/// filter that believes in much torque noise calls where they ended white.
+TEST(LostStart, CostsNeitherTheEstimateNorTheDiagnosis) {
+  blind::Request request;
+  request.kind = blind::Kind::None;
+  request.generator = blind::Generator::Independent;
+  request.seed = 410005;
+  const Sealed hidden = sealed(request);
+  const ParameterVector& truth = hidden.answer.brake.theta;
+  EXPECT_LT(truth[ws], 0.5 * nominal_parameters()[ws]) << "so that the test can fail";
+  const Estimate estimate = identify_prediction_error(hidden.runs, {});
+  ASSERT_TRUE(estimate.converged()) << estimate.message;
+  for (Eigen::Index i = 0; i < truth.size(); ++i)
+    EXPECT_NEAR(estimate.parameters.theta[i], truth[i], 0.03 * std::abs(truth[i]))
+        << kParameterTable[static_cast<std::size_t>(i)].name;
+  const Diagnosis diagnosis = spoken(hidden.runs);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
 }
 
 class FaultlessSets : public ::testing::TestWithParam<std::uint64_t> {};
