@@ -209,6 +209,13 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   }
   const bool changed = !lost && reconsider(runs, selecting, selection);
   if (changed || selection.effects.size() == 1) look_at_the_rest();
+  // Where the base model got stuck, an effect may have explained no more than the way out.
+  if (!selection.effects.empty() && is_stuck(base)) {
+    Hypothesis bare = selection.chosen;
+    while (!bare.estimate.parameters.effects.empty()) bare = without(bare, 0, runs);
+    if (bare.possible())
+      explained = std::min(explained, selection.chosen.log_likelihood() - bare.log_likelihood());
+  }
   const bool something_left =
       after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
   const bool much_left = lost || (something_left && after.nats > kUnexplainedShare * explained);

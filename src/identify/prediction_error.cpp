@@ -20,6 +20,7 @@ constexpr double kNoiseTolerance = 0.02;
 constexpr double kNegligibleTorque = 1e-8;  // a variance: lost in the noise of the readings
 constexpr double kWeightTolerance = 0.02;
 constexpr int kUndampedRounds = 3;
+constexpr double kMostTorque_Nm = 0.03;  // twice the paper's
 constexpr int kMostRounds = 20;
 
 /// Where the prediction error method ended from one start.
@@ -110,8 +111,11 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
   if (lost || !good(best)) {
     OutputErrorAttempt thorough = output_errors.best();
     const bool all_lost = output_errors.poor(thorough);
-    if (std::isfinite(thorough.score))
-      consider(search.attempt(thorough.unknowns, output_errors.noise_at(thorough).variances));
+    if (std::isfinite(thorough.score)) {
+      const Variances noise = output_errors.noise_at(thorough).variances;
+      // With more, the model does not follow the brake there either.
+      if (noise.torque < kMostTorque_Nm * kMostTorque_Nm) consider(search.attempt(thorough.unknowns, noise));
+    }
     if (all_lost || !good(best)) {
       const Variances start = output_errors.variances_without_model();
       for (const ParameterVector& theta : output_errors.other_starts()) {
