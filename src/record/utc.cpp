@@ -3,11 +3,11 @@
 #include <chrono>
 #include <cstdio>
 #include <ctime>
-#include <random>
 
 #include <fmt/format.h>
 
 #include "clampd/base/clock.hpp"
+#include "clampd/base/entropy.hpp"
 
 namespace clampd {
 namespace {
@@ -56,7 +56,7 @@ std::optional<std::int64_t> parse_utc(const std::string& text) {
 
 std::string make_record_id(std::int64_t utc_ns) {
   const auto [t, millisecond] = split(utc_ns);
-  std::random_device random;
+  std::random_device random = entropy();
   return fmt::format("{:04}{:02}{:02}T{:02}{:02}{:02}{:03}Z-{:08x}", t.tm_year + 1900, t.tm_mon + 1,
                      t.tm_mday, t.tm_hour, t.tm_min, t.tm_sec, millisecond, random());
 }

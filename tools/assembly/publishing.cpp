@@ -1,11 +1,11 @@
 #include "tools/assembly/publishing.hpp"
 
 #include <algorithm>
-#include <random>
 #include <utility>
 
 #include <fmt/format.h>
 
+#include "clampd/base/entropy.hpp"
 #include "clampd/record/utc.hpp"
 
 namespace clampd::assembly {
@@ -92,7 +92,7 @@ Publishing::Publishing(const StationConfiguration& configuration,
     publish::PublisherOptions options;
     options.channel = channel;
     options.database = configuration.database;
-    options.seed = std::random_device()();
+    options.seed = entropy()();
     options.on_change = [channel, on_change](const std::string& error) { on_change(channel, error); };
     publishers_.push_back(
         std::make_unique<publish::Publisher>(std::move(options), make_channel(configuration, channel)));

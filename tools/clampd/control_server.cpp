@@ -17,11 +17,11 @@
 #include <cstring>
 #include <limits>
 #include <optional>
-#include <random>
 
 #include <fmt/format.h>
 #include <openssl/crypto.h>
 
+#include "clampd/base/entropy.hpp"
 #include "clampd/record/file.hpp"
 #include "tools/dashboard/assets.hpp"
 
@@ -72,9 +72,9 @@ std::optional<std::string> earlier_token(const std::string& file) {
 }
 
 std::string random_token() {
-  std::random_device entropy;
+  std::random_device random = entropy();
   std::string token;
-  for (int i = 0; i < 8; ++i) token += fmt::format("{:08x}", entropy());
+  for (int i = 0; i < 8; ++i) token += fmt::format("{:08x}", random());
   return token;
 }
 
