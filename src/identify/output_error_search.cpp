@@ -139,8 +139,7 @@ std::vector<ParameterVector> OutputErrorSearch::other_starts() {
   return starts;
 }
 
-OutputErrorAttempt OutputErrorSearch::best() {
-  OutputErrorAttempt kept = first();
+OutputErrorAttempt OutputErrorSearch::best(OutputErrorAttempt kept) {
   if (!poor(kept)) return kept;
   for (const ParameterVector& start : other_starts()) {
     OutputErrorAttempt other = attempt(start);

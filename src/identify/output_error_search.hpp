@@ -24,7 +24,9 @@ class OutputErrorSearch {
  public:
   OutputErrorSearch(std::span<const Run> runs, const EstimatorOptions& options);
 
-  OutputErrorAttempt best();
+  OutputErrorAttempt best() { return best(first()); }
+  /// With a first attempt that was made already.
+  OutputErrorAttempt best(OutputErrorAttempt kept);
   /// From the given start only.
   OutputErrorAttempt first() { return attempt(options_.start.theta); }
   /// Unlike starts, worst last, for what the given one cannot reach.

@@ -108,22 +108,23 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
   // A filter can call almost any parameters good if only it believes in enough torque noise: the output
   // errors from several starts say more. Where those got lost, as in slow motion under load, likelihood must
   // choose.
-  if (lost || !good(best)) {
-    OutputErrorAttempt thorough = output_errors.best();
-    const bool all_lost = output_errors.poor(thorough);
+  bool all_lost = false;
+  if (lost) {
+    OutputErrorAttempt thorough = output_errors.best(std::move(warm));
+    all_lost = output_errors.poor(thorough);
     if (std::isfinite(thorough.score)) {
       const Variances noise = output_errors.noise_at(thorough).variances;
       // With more, the model does not follow the brake there either.
       if (noise.torque < kMostTorque_Nm * kMostTorque_Nm) consider(search.attempt(thorough.unknowns, noise));
     }
-    if (all_lost || !good(best)) {
-      const Variances start = output_errors.variances_without_model();
-      for (const ParameterVector& theta : output_errors.other_starts()) {
-        Attempt other = search.attempt(fit.start_from(theta), start);
-        const bool enough = good(other);
-        consider(std::move(other));
-        if (enough) break;
-      }
+  }
+  if (all_lost || !good(best)) {
+    const Variances start = output_errors.variances_without_model();
+    for (const ParameterVector& theta : output_errors.other_starts()) {
+      Attempt other = search.attempt(fit.start_from(theta), start);
+      const bool enough = good(other);
+      consider(std::move(other));
+      if (enough) break;
     }
   }
   estimate.iterations = output_errors.iterations() + search.iterations();
