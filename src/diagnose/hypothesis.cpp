@@ -8,6 +8,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
+#include <boost/math/special_functions/sinc.hpp>
 
 #include "src/diagnose/evidence.hpp"
 
@@ -221,7 +222,7 @@ std::vector<Start> scan(const Orders& orders, const Effect& effect, const Signal
           // The mean over the way to the next row.
           const double angle = 0.5 * orders[first + i] * (from + to);
           const double half = 0.5 * orders[first + i] * (to - from);
-          const double mean = std::abs(half) > 1e-6 ? std::sin(half) / half : 1.0;
+          const double mean = boost::math::sinc_pi(half);
           rows(k, 2 * i) = -mean * std::sin(angle);
           rows(k, 2 * i + 1) = -mean * std::cos(angle);
         }
@@ -442,30 +443,30 @@ void refit(Hypothesis& hypothesis, int max_iterations) {
 void settle(Hypothesis& hypothesis) {
   if (hypothesis.estimate.settled && promise_of(hypothesis) < kNotEnded_nats) return;
   refit(hypothesis);
-  // Noise of the torque and parameters can answer each other in ever smaller steps: then once more from a
-  // filter that believes the torque.
-  if (!hypothesis.estimate.settled && hypothesis.estimate.noise.torque_Nm > kModestTorque_Nm) {
-    Hypothesis again = hypothesis;
-    again.estimate.noise.torque_Nm = kModestTorque_Nm;
-    refit(again);
-    keep_if_better(std::move(again), hypothesis);
-  }
+  /// Once more, from what `change` makes of the estimate; whether that helped.
+  const auto again = [&](const auto& change) {
+    Hypothesis other = hypothesis;
+    change(other.estimate);
+    refit(other);
+    const bool helps = other.log_likelihood() > hypothesis.log_likelihood() + kHelps_nats;
+    keep_if_better(std::move(other), hypothesis);
+    return helps;
+  };
+  const auto believe_the_torque = [](ExtendedEstimate& estimate) {
+    estimate.noise.torque_Nm = kModestTorque_Nm;
+  };
+  // Noise of the torque and parameters can answer each other in ever smaller steps.
+  if (!hypothesis.estimate.settled && hypothesis.estimate.noise.torque_Nm > kModestTorque_Nm)
+    again(believe_the_torque);
   // A kink can end a descent where a step promises more.
   for (int more = 0; more < kMostMisses && hypothesis.possible() && promise_of(hypothesis) > kNotEnded_nats;
-       ++more) {
-    Hypothesis further = hypothesis;
-    refit(further);
-    const bool helps = further.log_likelihood() > hypothesis.log_likelihood() + kHelps_nats;
-    keep_if_better(std::move(further), hypothesis);
-    if (!helps) break;
-  }
-  if (hypothesis.possible() && is_stuck(hypothesis)) {
-    Hypothesis afresh = hypothesis;
-    afresh.estimate.parameters.base.theta = nominal_parameters();
-    afresh.estimate.noise.torque_Nm = kModestTorque_Nm;
-    refit(afresh);
-    keep_if_better(std::move(afresh), hypothesis);
-  }
+       ++more)
+    if (!again([](ExtendedEstimate&) {})) break;
+  if (hypothesis.possible() && is_stuck(hypothesis))
+    again([&](ExtendedEstimate& estimate) {
+      estimate.parameters.base.theta = nominal_parameters();
+      believe_the_torque(estimate);
+    });
 }
 
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded) {
@@ -485,7 +486,6 @@ Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<c
       move_by(delays_of(left), reduced.runs);
     }
   }
-  reduced.estimate.settled = false;
   settle(reduced);
   return reduced;
 }

@@ -170,23 +170,20 @@ double alternatives_of(std::string_view name, const Selection& selection) {
 /// Nats that taking its strengths back to neutral would cost, by how well they are known: what the fit's
 /// curvature says of an effect, however its likelihood came about. Infinite for one without strengths.
 double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
-  const std::vector<EffectValues>& present = hypothesis.estimate.parameters.effects;
-  auto at = static_cast<Eigen::Index>(kParameterCount);
-  for (std::size_t e = 0; e < effect; ++e)
-    for (const EffectParameter& parameter : info_of(*present[e].effect).parameters)
-      at += is_estimated(parameter);
+  const ExtendedParameters& model = hypothesis.estimate.parameters;
+  const ExtendedBrake brake(model);
   std::vector<Eigen::Index> places;
   std::vector<double> distances;
-  const std::vector<EffectParameter>& parameters = info_of(*present[effect].effect).parameters;
-  for (std::size_t i = 0; i < parameters.size(); ++i) {
-    if (parameters[i].role == EffectParameter::Role::Strength) {
-      places.push_back(at);
-      distances.push_back(present[effect].values[i] - parameters[i].neutral);
-    }
-    at += is_estimated(parameters[i]);
+  for (std::size_t i = 0; i < brake.places().size(); ++i) {
+    const ExtendedBrake::Place& place = brake.places()[i];
+    if (place.effect != static_cast<int>(effect)) continue;
+    const EffectParameter& parameter = parameter_at(model, place);
+    if (parameter.role != EffectParameter::Role::Strength) continue;
+    places.push_back(static_cast<Eigen::Index>(i));
+    distances.push_back(value_at(model, place) - parameter.neutral);
   }
   const Eigen::MatrixXd& covariance = hypothesis.estimate.covariance;
-  if (places.empty() || covariance.rows() < at) return std::numeric_limits<double>::infinity();
+  if (places.empty() || covariance.rows() <= places.back()) return std::numeric_limits<double>::infinity();
   const Eigen::MatrixXd known = covariance(places, places);
   const Eigen::VectorXd distance =
       Eigen::Map<const Eigen::VectorXd>(distances.data(), static_cast<Eigen::Index>(distances.size()));

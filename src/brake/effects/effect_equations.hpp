@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <span>
 
 #include <ceres/jet.h>
@@ -26,6 +27,12 @@ struct Own {
   const T* parameters;
   const T* states;  ///< at the start of the stretch
 };
+
+/// A parameter of the role Choice or Refinement, as the enumerator that it numbers.
+template <class Enumeration, class T>
+Enumeration chosen(const T& parameter) {
+  return static_cast<Enumeration>(std::lround(value_of(parameter)));
+}
 
 /// From the torque reading to the torque that acts until the next row.
 template <class T>

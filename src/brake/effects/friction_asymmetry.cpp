@@ -43,21 +43,16 @@ class FrictionAsymmetry final : public EquationsOf<FrictionAsymmetry> {
   template <class T>
   void friction(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
     instant.viscous_Nm_s_rad += instant.direction * own.parameters[kViscous];
-    if (share_of(own) == Share::Coulomb) instant.coulomb_Nm += instant.direction * own.parameters[kCoulomb];
+    if (effects_detail::chosen<Share>(own.parameters[kShare]) == Share::Coulomb)
+      instant.coulomb_Nm += instant.direction * own.parameters[kCoulomb];
   }
   template <class T>
   void balance(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
     // Half of the difference is a torque that does not change its sign.
-    const Share share = share_of(own);
+    const auto share = effects_detail::chosen<Share>(own.parameters[kShare]);
     if (share == Share::Constant) instant.opposing_Nm += own.parameters[kCoulomb];
     if (share == Share::Proportional)
       instant.opposing_Nm += own.parameters[kCoulomb] * (instant.level_Nm / instant.coulomb_Nm);
-  }
-
- private:
-  template <class T>
-  static Share share_of(const effects_detail::Own<T>& own) {
-    return static_cast<Share>(std::lround(effects_detail::value_of(own.parameters[kShare])));
   }
 };
 

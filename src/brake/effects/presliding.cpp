@@ -58,7 +58,7 @@ class Presliding final : public EquationsOf<Presliding> {
     constexpr double kLoad_N = 1e4;
     const ParameterVector theta = nominal_parameters();
     const double level = (theta[Ts0] + theta[mus] * kLoad_N) / theta[TC];
-    const auto is_lugre = [](double law) { return static_cast<Law>(std::lround(law)) == Law::LuGre; };
+    const auto is_lugre = [](double law) { return effects_detail::chosen<Law>(law) == Law::LuGre; };
     if (is_lugre(choice) && !is_lugre(values[parameter])) values[kDeflection] /= level;
     if (!is_lugre(choice) && is_lugre(values[parameter])) values[kDeflection] *= level;
     const EffectParameter& deflection = info().parameters[kDeflection];
@@ -112,7 +112,7 @@ class Presliding final : public EquationsOf<Presliding> {
  private:
   template <class T>
   static Law law_of(const effects_detail::Own<T>& own) {
-    return static_cast<Law>(std::lround(effects_detail::value_of(own.parameters[kLaw])));
+    return effects_detail::chosen<Law>(own.parameters[kLaw]);
   }
   /// How far the bristles are bent, over the deflection: a function of the travel.
   template <class T>

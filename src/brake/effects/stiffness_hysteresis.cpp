@@ -65,7 +65,7 @@ class StiffnessHysteresis final : public EquationsOf<StiffnessHysteresis> {
   static T side(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) {
     using std::tanh;
     const T& travel = own.parameters[kTravel];
-    const auto law = static_cast<Law>(std::lround(effects_detail::value_of(own.parameters[kLaw])));
+    const auto law = effects_detail::chosen<Law>(own.parameters[kLaw]);
     if (law == Law::Travel)
       return effects_detail::turned_round(own.states[0], instant.travel, instant.direction, travel);
     const T by_speed = tanh(instant.velocity * kWithin_s / travel);
