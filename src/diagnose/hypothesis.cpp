@@ -486,6 +486,7 @@ Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<c
       move_by(delays_of(left), reduced.runs);
     }
   }
+  reduced.estimate.settled = false;
   settle(reduced);
   return reduced;
 }

@@ -495,7 +495,6 @@ ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& star
 
 ExtendedEstimate with_effect(const ExtendedEstimate& estimate, const EffectValues& effect) {
   ExtendedEstimate extended = estimate;
-  extended.settled = false;
   extended.parameters.effects.push_back(effect);
   for (Eigen::VectorXd& initial : extended.initial_states) {
     const Eigen::Index known = initial.size();
@@ -508,7 +507,6 @@ ExtendedEstimate with_effect(const ExtendedEstimate& estimate, const EffectValue
 
 ExtendedEstimate without_effect(const ExtendedEstimate& estimate, std::size_t index) {
   ExtendedEstimate reduced = estimate;
-  reduced.settled = false;
   CLAMPD_ASSERT(index < estimate.parameters.effects.size());
   Eigen::Index first = 2;
   for (std::size_t e = 0; e < index; ++e)

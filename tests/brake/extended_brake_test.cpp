@@ -243,9 +243,12 @@ struct Bristles {
   double deflection_rad, damping, within_N, within_rad_s;
   int reversals;  ///< of the motion, at least
 };
+void PrintTo(const Bristles& bristles, std::ostream* out) {
+  *out << bristles.deflection_rad << " rad";
+}
 class LuGre : public ::testing::TestWithParam<Bristles> {};
 INSTANTIATE_TEST_SUITE_P(Presliding, LuGre,
-                         ::testing::Values(Bristles{0.0006, 0.4, 3.5, 0.08, 3},
+                         ::testing::Values(Bristles{0.0006, 0.4, 5.0, 0.08, 3},
                                            Bristles{0.02, 0.1, 1.0, 0.02, 1},
                                            Bristles{0.08, 0.0, 1.0, 0.02, 1}),
                          [](const auto& each) { return fmt::format("{}", each.index); });
