@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -238,29 +239,46 @@ double friction_of(double sliding_Nm, double resting_Nm, double velocity) {
   return sliding_Nm + (resting_Nm - sliding_Nm) / (1.0 + speed * speed) + theta[Tv] * std::abs(velocity);
 }
 
-/// The model of Canudas de Wit, Olsson, Astrom and Lischinsky (1995) as it is written, in steps of 0.1 us.
+/// The models of Canudas de Wit, Olsson, Astrom and Lischinsky (1995) and of Dupont, Hayward, Armstrong and
+/// Altpeter (2002) as they are written, in steps of 0.1 us.
 struct Bristles {
+  enum class Law { LuGre = 3, ElastoPlastic } law;
   double deflection_rad, damping, within_N, within_rad_s;
   int reversals;  ///< of the motion, at least
 };
 void PrintTo(const Bristles& bristles, std::ostream* out) {
   *out << bristles.deflection_rad << " rad";
 }
-class LuGre : public ::testing::TestWithParam<Bristles> {};
-INSTANTIATE_TEST_SUITE_P(Presliding, LuGre,
-                         ::testing::Values(Bristles{0.0006, 0.4, 5.0, 0.08, 3},
-                                           Bristles{0.02, 0.1, 1.0, 0.02, 1},
-                                           Bristles{0.08, 0.0, 1.0, 0.02, 1}),
+
+/// The share of the motion in which bristles bent by `share` of what they hold while sliding do slide.
+double sliding(Bristles::Law law, double share) {
+  constexpr double kBreakaway = 0.7;
+  if (law == Bristles::Law::LuGre) return 1.0;
+  if (share <= kBreakaway) return 0.0;
+  if (share >= 1.0) return 1.0;
+  const double middle = 0.5 * (1.0 + kBreakaway);
+  return 0.5 * std::sin(std::numbers::pi * (share - middle) / (1.0 - kBreakaway)) + 0.5;
+}
+
+class BristleLaws : public ::testing::TestWithParam<Bristles> {};
+INSTANTIATE_TEST_SUITE_P(Presliding, BristleLaws,
+                         ::testing::Values(Bristles{Bristles::Law::LuGre, 0.0006, 0.4, 5.0, 0.08, 3},
+                                           Bristles{Bristles::Law::LuGre, 0.02, 0.1, 1.0, 0.02, 1},
+                                           Bristles{Bristles::Law::LuGre, 0.08, 0.0, 1.0, 0.02, 1},
+                                           Bristles{Bristles::Law::ElastoPlastic, 0.0006, 0.4, 5.0, 0.08, 3},
+                                           Bristles{Bristles::Law::ElastoPlastic, 0.02, 0.1, 1.5, 0.02, 1},
+                                           Bristles{Bristles::Law::ElastoPlastic, 0.08, 0.0, 1.0, 0.02, 1}),
                          [](const auto& each) { return fmt::format("{}", each.index); });
 
-TEST_P(LuGre, IsTheModelAsPublished) {
-  const auto [deflection_rad, damping_ratio, within_N, within_rad_s, least_reversals] = GetParam();
+TEST_P(BristleLaws, AreTheModelsAsPublished) {
+  const auto [law, deflection_rad, damping_ratio, within_N, within_rad_s, least_reversals] = GetParam();
   const BrakeParameters nominal;
   const auto& theta = nominal.theta;
   const double inertia = nominal.fixed.inertia_kg_m2;
   const double stiffness = theta[TC] / deflection_rad;
   const double damping = 2.0 * damping_ratio * std::sqrt(stiffness * inertia);
-  const ExtendedBrake brake({nominal, {{find_effect("presliding"), {deflection_rad, 3, damping_ratio}}}});
+  const ExtendedBrake brake(
+      {nominal, {{find_effect("presliding"), {deflection_rad, static_cast<double>(law), damping_ratio}}}});
   ExtendedBrake::State state = brake.settled(-4.0, 0.0, row_at(0));
   double position = -4.0, velocity = 0.0, bristles = state[2] * deflection_rad;
   double fastest = 0.0;
@@ -276,7 +294,8 @@ TEST_P(LuGre, IsTheModelAsPublished) {
       const double force = elastic_N(position);
       const double speed = velocity / theta[ws];
       const double level = theta[TC] + (theta[Ts0] + theta[mus] * force - theta[TC]) / (1.0 + speed * speed);
-      const double bending = velocity - stiffness * std::abs(velocity) / level * bristles;
+      const double share = stiffness * std::copysign(1.0, velocity) * bristles / level;
+      const double bending = velocity * (1.0 - sliding(law, share) * share);
       const double friction = stiffness * bristles + damping * bending + theta[Tv] * velocity;
       const double net = torque_at(k * kStep_s) - nominal.fixed.ratio_m_rad * force - friction;
       bristles += kFine_s * bending;

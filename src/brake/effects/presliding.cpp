@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include "clampd/brake/parameters.hpp"
 #include "src/brake/effects/catalogue.hpp"
@@ -11,10 +12,12 @@ namespace {
 using Role = EffectParameter::Role;
 
 /// Bristles bend before they slide. By Dahl's law and the elastic one they give way by the same deflection at
-/// any level of friction; LuGre's have one stiffness (Canudas de Wit, Olsson, Astrom, Lischinsky 1995).
+/// any level of friction; LuGre's have one stiffness (Canudas de Wit, Olsson, Astrom, Lischinsky 1995), and so
+/// have the elasto-plastic ones, which do not give way at all up to a share of the level (Dupont, Hayward,
+/// Armstrong, Altpeter 2002).
 class Presliding final : public EquationsOf<Presliding> {
   enum Parameter { kDeflection, kLaw, kDamping };
-  enum class Law { Dahl = 1, Elastic, LuGre };
+  enum class Law { Dahl = 1, Elastic, LuGre, ElastoPlastic };
 
  public:
   const EffectInfo& info() const override {
@@ -25,7 +28,7 @@ class Presliding final : public EquationsOf<Presliding> {
         .excitation = "reversals, best under load",
         .parameters = {{.name = "deflection",
                         .unit = "rad",
-                        .description = "at which the friction is fully built up (LuGre: a friction of TC)",
+                        .description = "at which the friction is fully built up (laws 3, 4: a friction of TC)",
                         .role = Role::Shape,
                         .lower = 0.00001,
                         .upper = 3,
@@ -34,11 +37,11 @@ class Presliding final : public EquationsOf<Presliding> {
                         .starts = {0.0001, 0.0004, 0.0015, 0.006, 0.025, 0.1, 0.4}},
                        {.name = "law",
                         .unit = "",
-                        .description = "1 Dahl's; 2 elastic until it slides; 3 LuGre's",
+                        .description = "1 Dahl's; 2 elastic until it slides; 3 LuGre's; 4 elasto-plastic",
                         .role = Role::Refinement,
                         .lower = 1,
-                        .upper = 3,
-                        .starts = {1, 3, 2}},
+                        .upper = 4,
+                        .starts = {1, 3, 4, 2}},
                        {.name = "damping",
                         .unit = "",
                         .description = "of the bristles with the inertia; 1 is critical",
@@ -47,7 +50,8 @@ class Presliding final : public EquationsOf<Presliding> {
                         .upper = 3,
                         .scale = 0.3,
                         .starts = {0.1}}},
-        // How far the bristles are bent, over the deflection; LuGre's: the level of friction then, over TC.
+        // How far the bristles are bent, over the deflection; by the laws of one stiffness, the level of
+        // friction then, over TC.
         .states = 2};
     return kInfo;
   }
@@ -58,9 +62,10 @@ class Presliding final : public EquationsOf<Presliding> {
     constexpr double kLoad_N = 1e4;
     const ParameterVector theta = nominal_parameters();
     const double level = (theta[Ts0] + theta[mus] * kLoad_N) / theta[TC];
-    const auto is_lugre = [](double law) { return effects_detail::chosen<Law>(law) == Law::LuGre; };
-    if (is_lugre(choice) && !is_lugre(values[parameter])) values[kDeflection] /= level;
-    if (!is_lugre(choice) && is_lugre(values[parameter])) values[kDeflection] *= level;
+    const bool had_one = has_one_stiffness(effects_detail::chosen<Law>(values[parameter]));
+    const bool has_one = has_one_stiffness(effects_detail::chosen<Law>(choice));
+    if (has_one && !had_one) values[kDeflection] /= level;
+    if (!has_one && had_one) values[kDeflection] *= level;
     const EffectParameter& deflection = info().parameters[kDeflection];
     values[kDeflection] = std::clamp(values[kDeflection], deflection.lower, deflection.upper);
     values[parameter] = choice;
@@ -75,7 +80,7 @@ class Presliding final : public EquationsOf<Presliding> {
     const double change = std::abs(acceleration) * kRow_s;
     const bool may_reverse = now.velocity * acceleration <= 0.0 && std::abs(now.velocity) < 2.0 * change;
     if (!may_reverse && now.direction * now.grip > kBuiltUp)
-      return law_of(own) == Law::LuGre ? kFewest : 1;  // whose bristles follow the level of friction
+      return has_one_stiffness(law_of(own)) ? kFewest : 1;  // such bristles follow the level of friction
     // The slowest part of the motion, around a reversal, decides how friction is built up: travel goes with
     // time squared.
     const double travel = (std::abs(now.velocity) + 0.5 * change) * kRow_s;
@@ -86,10 +91,13 @@ class Presliding final : public EquationsOf<Presliding> {
   void balance(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
     const Law law = law_of(own);
     const T bristles = bent(instant, own);
-    const T level = law == Law::LuGre ? instant.coulomb_Nm : instant.level_Nm;
-    instant.grip = law == Law::LuGre ? T(bristles * (level / instant.level_Nm)) : bristles;
-    T yielding = 1.0 - instant.direction * instant.grip;  // the share of the motion that bends them further
-    if (law == Law::Elastic) yielding = instant.direction * bristles < 1.0 ? T(1.0) : T(0.0);
+    const T level = has_one_stiffness(law) ? instant.coulomb_Nm : instant.level_Nm;
+    instant.grip = has_one_stiffness(law) ? T(bristles * (level / instant.level_Nm)) : bristles;
+    // The share of the motion that bends them further.
+    const T built_up = instant.direction * instant.grip;
+    T yielding = 1.0 - built_up;
+    if (law == Law::Elastic) yielding = built_up < 1.0 ? T(1.0) : T(0.0);
+    if (law == Law::ElastoPlastic) yielding = 1.0 - sliding_share(built_up) * built_up;
     using std::sqrt;
     const T critical = 2.0 * sqrt(level / own.parameters[kDeflection] * instant.inertia_kg_m2);
     instant.opposing_Nm += own.parameters[kDamping] * critical * instant.velocity * yielding;
@@ -97,16 +105,17 @@ class Presliding final : public EquationsOf<Presliding> {
   template <class T>
   void remember(const effects_detail::Instant<T>& end, const effects_detail::Own<T>& own, T* states) const {
     states[0] = bent(end, own);
-    if (law_of(own) == Law::LuGre) states[1] = end.level_Nm / end.coulomb_Nm;
+    if (has_one_stiffness(law_of(own))) states[1] = end.level_Nm / end.coulomb_Nm;
   }
   template <class T>
   void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own, T* states) const {
-    const T unit = law_of(own) == Law::LuGre ? instant.coulomb_Nm : instant.static_Nm;
+    const bool has_one = has_one_stiffness(law_of(own));
+    const T unit = has_one ? instant.coulomb_Nm : instant.static_Nm;
     const T most = instant.static_Nm / unit;
     states[0] = (instant.torque_Nm - instant.ratio_m_rad * instant.force_N) / unit;
     if (states[0] > most) states[0] = most;
     if (states[0] < -most) states[0] = -most;
-    states[1] = law_of(own) == Law::LuGre ? T(instant.level_Nm / instant.coulomb_Nm) : T(1.0);
+    states[1] = has_one ? T(instant.level_Nm / instant.coulomb_Nm) : T(1.0);
   }
 
  private:
@@ -114,6 +123,53 @@ class Presliding final : public EquationsOf<Presliding> {
   static Law law_of(const effects_detail::Own<T>& own) {
     return effects_detail::chosen<Law>(own.parameters[kLaw]);
   }
+  static bool has_one_stiffness(Law law) { return law == Law::LuGre || law == Law::ElastoPlastic; }
+
+  /// Of elasto-plastic bristles bent by this share of the level in the direction of motion, the share of the
+  /// motion that is sliding.
+  template <class T>
+  static T sliding_share(const T& built_up) {
+    constexpr double kBreakaway = 0.7;  // from which on they slide at all; Dupont's own examples
+    if (built_up <= kBreakaway) return T(0.0);
+    if (built_up >= 1.0) return T(1.0);
+    using std::cos;
+    return 0.5 - 0.5 * cos(std::numbers::pi / (1.0 - kBreakaway) * (built_up - kBreakaway));
+  }
+  /// b' = 1 - sliding_share(b) b over a travel of `reaches`, both over the level's deflection, while the level
+  /// grows steadily by the share `growth`.
+  template <class T>
+  static T built_up_after(T built_up, T reaches, T growth) {
+    constexpr double kSliding = 0.995;  // from here on all of the motion is, nearly
+    constexpr double kLargest = 0.25, kFarthest = 4.0;
+    const auto closed = [](const T& from, const T& travel, const T& growing) {
+      // b' travel = travel - (travel + growing) b
+      const T rate = travel + growing;
+      using std::exp;
+      return rate > 1e-4 ? T(from + (travel / rate - from) * (1.0 - exp(-rate)))
+                         : T(from + travel - rate * from);
+    };
+    if (built_up >= kSliding) return closed(built_up, reaches, growth);
+    T beyond = T(0.0), growth_beyond = T(0.0);
+    if (reaches > kFarthest) {
+      beyond = reaches - kFarthest;
+      growth_beyond = growth * (beyond / reaches);
+      growth -= growth_beyond;
+      reaches = T(kFarthest);
+    }
+    const int steps = 1 + static_cast<int>(effects_detail::value_of(reaches) / kLargest);
+    const T step = reaches / static_cast<double>(steps);
+    const T growing = growth / static_cast<double>(steps);
+    const auto slope = [&](const T& at) { return T(step * (1.0 - sliding_share(at) * at) - growing * at); };
+    for (int i = 0; i < steps; ++i) {
+      const T first = slope(built_up);
+      const T second = slope(built_up + 0.5 * first);
+      const T third = slope(built_up + 0.5 * second);
+      const T fourth = slope(built_up + third);
+      built_up += (first + 2.0 * (second + third) + fourth) / 6.0;
+    }
+    return beyond > 0.0 ? closed(built_up, beyond, growth_beyond) : built_up;
+  }
+
   /// How far the bristles are bent, over the deflection: a function of the travel.
   template <class T>
   static T bent(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) {
@@ -130,6 +186,14 @@ class Presliding final : public EquationsOf<Presliding> {
       const T lagging = reaches > 1e-4 ? T((1.0 - left) / reaches) : T(1.0 - 0.5 * reaches);
       return instant.direction * (level - lagging * (level - own.states[1])) +
              (own.states[0] - instant.direction * own.states[1]) * left;
+    }
+    if (law == Law::ElastoPlastic) {
+      const T level = instant.level_Nm / instant.coulomb_Nm;
+      const T mean = 0.5 * (level + own.states[1]);
+      return instant.direction * level *
+             built_up_after(T(instant.direction * own.states[0] / own.states[1]),
+                            T(instant.direction * instant.travel / (deflection * mean)),
+                            T((level - own.states[1]) / mean));
     }
     const T bent = own.states[0] + instant.travel / deflection;
     if (bent > 1.0) return T(1.0);
