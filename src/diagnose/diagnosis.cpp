@@ -201,12 +201,17 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
     after = examine(selection.chosen);
     explained = selection.chosen.log_likelihood() - base.log_likelihood();
   };
+  const auto something_left = [&] {
+    return after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
+  };
+  const auto much_left = [&] { return something_left() && after.nats > kUnexplainedShare * explained; };
   bool lost = false;
   while (!lost && add_effect(runs, selecting, selection)) {
     if (selection.effects.size() < kFewestBeforeLost) continue;
     look_at_the_rest();
     lost = after.nats > kLost * explained || is_torque_impossible(selection.chosen);
   }
+  lost = lost || (selection.effects.size() >= kFewestBeforeLost && much_left());
   const bool changed = !lost && reconsider(runs, selecting, selection);
   if (changed || selection.effects.size() == 1) look_at_the_rest();
   // Where the base model got stuck, an effect may have explained no more than the way out.
@@ -216,9 +221,8 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
     if (bare.possible())
       explained = std::min(explained, selection.chosen.log_likelihood() - bare.log_likelihood());
   }
-  const bool something_left =
-      after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
-  const bool much_left = lost || (something_left && after.nats > kUnexplainedShare * explained);
+  const bool is_something_left = something_left();
+  const bool is_unexplained = lost || much_left();
 
   Diagnosis diagnosis;
   diagnosis.alarm_evidence = alarm_level(options.false_alarm);
@@ -246,7 +250,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
     diagnosis.rivals.push_back(std::move(group));
     diagnosis.rival_models.push_back(std::move(models));
   }
-  diagnosis.verdict = much_left                   ? DiagnosisVerdict::Unexplained
+  diagnosis.verdict = is_unexplained                   ? DiagnosisVerdict::Unexplained
                       : selection.effects.empty() ? DiagnosisVerdict::Adequate
                       : ambiguous                 ? DiagnosisVerdict::Ambiguous
                                                   : DiagnosisVerdict::Explained;
@@ -267,12 +271,12 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   diagnosis.misfit.tests_before = before.tests;
   if (!selection.effects.empty()) diagnosis.misfit.tests_after = after.tests;
   diagnosis.misfit.explained_nats = explained;
-  if (something_left) diagnosis.misfit.left_nats = after.nats;
+  if (is_something_left) diagnosis.misfit.left_nats = after.nats;
   // Of what is left; if that tells nothing by itself, of what the base model leaves.
   const auto tells = [](const Residuals& residuals) {
     return !residuals.dependences.empty() && residuals.dependences.front().p_value < kFalseResidual;
   };
-  const Residuals& told = much_left && tells(after) ? after : before;
+  const Residuals& told = is_unexplained && tells(after) ? after : before;
   // What is wrong in one place shows faintly in all others: the strongest say where.
   double strongest = 0.0;
   for (const Dependence& dependence : told.dependences) strongest = std::max(strongest, dependence.gain);
@@ -281,12 +285,12 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
         diagnosis.misfit.dependences.size() < kMostDependences)
       diagnosis.misfit.dependences.push_back(dependence);
   if (diagnosis.verdict != DiagnosisVerdict::Adequate) {
-    if (!much_left)
+    if (!is_unexplained)
       diagnosis.misfit.location = diagnosis.effects.front().location;
     else if (tells(told))
       diagnosis.misfit.location = told.dependences.front().location;
     else
-      diagnosis.misfit.location = (much_left ? after : before).hint;
+      diagnosis.misfit.location = (is_unexplained ? after : before).hint;
   }
 
   // What these runs could not have shown, seen from the final model where that explains them.
@@ -304,7 +308,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   progress(0.96, "judging by runs held out");
   diagnosis.gain = held_out_gain(runs, options.heldout, base, selection.chosen, diagnosis.notices);
   if (options.views) diagnosis.views = views_of(runs, base, selection.chosen);
-  if (something_left && !much_left && !selection.effects.empty())
+  if (is_something_left && !is_unexplained && !selection.effects.empty())
     diagnosis.notices.push_back(
         fmt::format("a little is left that these effects do not explain ({:.0f} of {:.0f} nats): they may "
                     "have another form than assumed",

@@ -91,12 +91,20 @@ double degrees_of(const Effect& effect, std::size_t runs) {
   return degrees > 0.0 ? degrees : kSpikeDegrees;
 }
 
+Eigen::Index estimated_of(const Effect& effect) {
+  const auto& parameters = info_of(effect).parameters;
+  return std::count_if(parameters.begin(), parameters.end(), is_estimated);
+}
+
 /// The effect at the end of the step that the forecast proposes, within its bounds; what it promises is void
 /// where a one-sided strength would have to go below its neutral value.
 Start start_from(const Effect& effect, const std::vector<double>& values, const Hypothesis& hypothesis,
                  const StepForecast& forecast) {
   const auto& parameters = info_of(effect).parameters;
-  Start start{{&effect, values}, forecast.after_step - hypothesis.estimate.log_likelihood};
+  const Eigen::Index own = forecast.step.size() - estimated_of(effect);
+  Start start{{&effect, values},
+              forecast.after_step - hypothesis.estimate.log_likelihood,
+              forecast.step.head(own)};
   const auto strengths = std::count_if(parameters.begin(), parameters.end(),
                                        [](const auto& each) { return each.role == Role::Strength; });
   Eigen::Index at = forecast.step.size();
@@ -143,14 +151,53 @@ double likelihood_of_unusable(const EffectDelays& delays, const Hypothesis& hypo
 /// Where the seven parameters begin.
 enum class Brake { Fitted, Nominal };
 
+/// Moves parameters by this share of a step, within their bounds and no further than by a factor.
+void move_along(const Eigen::VectorXd& step, double share, ExtendedParameters& model) {
+  constexpr double kFurthest = 2.0;
+  const ExtendedBrake brake(model);
+  for (Eigen::Index i = 0; i < step.size(); ++i) {
+    const ExtendedBrake::Place& place = brake.places()[static_cast<std::size_t>(i)];
+    double& value = value_at(model, place);
+    const double moved = value + share * step[i];
+    if (place.effect < 0) {
+      const ParameterInfo& info = kParameterTable[static_cast<std::size_t>(place.parameter)];
+      const bool is_positive = info.lower > 0.0;
+      value = is_positive ? std::clamp(moved, value / kFurthest, value * kFurthest) : moved;
+      value = std::clamp(value, info.lower, info.upper);
+    } else {
+      const EffectParameter& info = parameter_at(model, place);
+      value = info.logarithmic ? std::clamp(moved, value / kFurthest, value * kFurthest) : moved;
+      value = std::clamp(value, info.lower, info.upper);
+    }
+  }
+}
+
+/// The other parameters follow an effect that a step puts beside them, as far as that helps.
+void follow(const Start& start, Hypothesis& extended) {
+  constexpr double kLeast = 0.2;
+  const auto likelihood = [&] {
+    return forecast(extended.runs, extended.estimate, extended.threads).log_likelihood;
+  };
+  const ExtendedParameters before = extended.estimate.parameters;
+  double best = likelihood();
+  for (double share = 1.0; share > kLeast; share *= 0.5) {
+    ExtendedParameters moved = before;
+    move_along(start.step, share, moved);
+    std::swap(extended.estimate.parameters, moved);
+    if (likelihood() > best) return;
+    std::swap(extended.estimate.parameters, moved);
+  }
+}
+
 Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double torque_noise_Nm,
                        int max_iterations, Brake brake = Brake::Fitted) {
   Hypothesis extended = hypothesis;
   extended.estimate = with_effect(hypothesis.estimate, start.values);
-  extended.estimate.noise.torque_Nm = torque_noise_Nm;
-  if (brake == Brake::Nominal) extended.estimate.parameters.base.theta = nominal_parameters();
   const EffectDelays delays = delays_of(start.values);
   move_by(delays, extended.runs);
+  if (start.step.size() > 0) follow(start, extended);
+  extended.estimate.noise.torque_Nm = torque_noise_Nm;
+  if (brake == Brake::Nominal) extended.estimate.parameters.base.theta = nominal_parameters();
   refit(extended, max_iterations);
   extended.unused_log_likelihood += likelihood_of_unusable(delays, extended);
   return extended;
@@ -233,7 +280,7 @@ std::vector<Start> scan(const Orders& orders, const Effect& effect, const Signal
     for (Eigen::Index i = 0; i < count; ++i) {
       const Eigen::Matrix2d information = scores.information.block<2, 2>(2 * i, 2 * i);
       const Eigen::Vector2d score = scores.score.segment<2>(2 * i);
-      Start start{{&effect, {0.0, 0.0, orders[first + i]}}, 0.0};
+      Start start{.values = {&effect, {0.0, 0.0, orders[first + i]}}};
       if (information.determinant() > 1e-9 * information.trace() * information.trace()) {
         const Eigen::Vector2d amplitude = information.ldlt().solve(score);
         start.predicted_gain = 0.5 * score.dot(amplitude);
@@ -354,7 +401,7 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   }
   const auto attempt_afresh = [&](const EffectValues& values) {
     if (!also_afresh) return;
-    keep_if_better(fitted_from({values, 0.0}, hypothesis, kModestTorque_Nm,
+    keep_if_better(fitted_from({.values = values}, hypothesis, kModestTorque_Nm,
                                ExtendedFitOptions{}.max_iterations, Brake::Nominal),
                    best);
   };
@@ -373,7 +420,7 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
         if (parameters[j].role == Role::Strength && values.values[j] > parameters[j].upper - 0.05 * width)
           values.values[j] = parameters[j].lower + 0.5 * width;
       }
-      attempt({values, 0.0}, best.estimate.noise.torque_Nm);
+      attempt({.values = values}, best.estimate.noise.torque_Nm);
       const bool better = gain() > reached;
       if (better)
         attempt_afresh(best.estimate.parameters.effects.back());
@@ -404,7 +451,7 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
     for (const EffectValues& values : from) {
       const double reached = candidate.fitted.log_likelihood();
       keep_if_better(
-          fitted_from({values, 0.0}, hypothesis, kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
+          fitted_from({.values = values}, hypothesis, kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
           candidate.fitted);
       if (candidate.fitted.log_likelihood() < reached + kHelps_nats) break;
     }
@@ -418,7 +465,7 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
       const Hypothesis both = fitted_from(beside.starts.front(), candidate.fitted,
                                           candidate.fitted.estimate.noise.torque_Nm, kRoughIterations);
       if (both.possible())
-        keep_if_better(fitted_from({both.estimate.parameters.effects.back(), 0.0}, hypothesis,
+        keep_if_better(fitted_from({.values = both.estimate.parameters.effects.back()}, hypothesis,
                                    kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
                        candidate.fitted);
     }

@@ -31,6 +31,8 @@ struct Hypothesis {
 struct Start {
   EffectValues values;
   double predicted_gain = 0.0;
+  /// What the step moves the hypothesis's own parameters by, those of ExtendedBrake, SI; empty: they stay.
+  Eigen::VectorXd step = {};
 };
 
 /// An effect judged beside a hypothesis.

@@ -36,7 +36,7 @@ constexpr double kFarBehind_nats = 40.0;
 constexpr double kNearAlarm = 0.5;
 /// A further effect must bring this share of what the others bring: an effect of another form than the
 /// candidate's leaves that much behind. Spikes neither have another form nor come from one: they stand alone.
-constexpr double kMaterial = 0.03;
+constexpr double kMaterial = 0.01;
 /// Two things wrong at once are so much rarer than one.
 constexpr double kFurtherEffect = 0.1;
 
