@@ -36,7 +36,7 @@ constexpr double kNearBound = 5.0;
 constexpr double kImpossibleTorque_Nm = 0.05;
 constexpr std::size_t kMostFits = 4;
 /// The same of further choices, one after the other, that bring nothing more.
-constexpr int kMostMisses = 2;
+constexpr int kMostMisses = 3;
 /// Enough to see whether a candidate is among the best; those are then fitted to the end.
 constexpr int kRoughIterations = 14;
 
@@ -420,7 +420,11 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
         if (parameters[j].role == Role::Strength && values.values[j] > parameters[j].upper - 0.05 * width)
           values.values[j] = parameters[j].lower + 0.5 * width;
       }
-      attempt({.values = values}, best.estimate.noise.torque_Nm);
+      Hypothesis from = hypothesis;
+      from.estimate = without_effect(best.estimate, best.estimate.parameters.effects.size() - 1);
+      ++fits;
+      keep_if_better(
+          fitted_from({.values = values}, from, best.estimate.noise.torque_Nm, kRoughIterations), best);
       const bool better = gain() > reached;
       if (better)
         attempt_afresh(best.estimate.parameters.effects.back());

@@ -361,6 +361,29 @@ TEST(FrictionAsymmetry, IsConstantOrOfTheDryFrictionOrOfTheSlidingPartAlone) {
                      });
 }
 
+TEST(StiffnessHysteresis, IsTurnedRoundByTravel) {
+  const ParameterVector theta = nominal_parameters();
+  constexpr double kShare = 0.03, kTravel_rad = 0.4;
+  const auto friction = [&](double, double v, double push_N) {
+    return friction_of(theta[TC], theta[Ts0] + theta[mus] * push_N, v);
+  };
+  const auto expect_turned_by = [&](int law, const auto& change) {
+    double side = -1.0, before = -4.0;
+    expect_same_motion(
+        {find_effect("stiffness-hysteresis"), {kShare, kTravel_rad, static_cast<double>(law)}},
+        [&](double x, double) {
+          side = std::clamp(side + change(side, x - before), -1.0, 1.0);
+          before = x;
+          return elastic_N(x) * (1.0 - 0.5 * kShare * (1.0 - side));
+        },
+        friction);
+  };
+  expect_turned_by(1, [](double side, double travel) {
+    return (std::copysign(1.0, travel) - side) * std::abs(travel) / kTravel_rad;
+  });
+  expect_turned_by(4, [](double, double travel) { return 2.0 * travel / kTravel_rad; });
+}
+
 TEST(StiffnessHysteresis, MayGoByTheSpeed) {
   const ParameterVector theta = nominal_parameters();
   constexpr double kShare = 0.03, kTravel_rad = 0.05;

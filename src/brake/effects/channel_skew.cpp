@@ -1,3 +1,5 @@
+#include <algorithm>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -37,6 +39,13 @@ class ChannelSkew final : public EquationsOf<ChannelSkew> {
                                                   .starts = {1, 2, 3}}},
                                   .states = 1};
     return kInfo;
+  }
+  /// The same delay in all, as far as another number of whole samples allows.
+  std::vector<double> chosen_otherwise(std::vector<double> values, std::size_t parameter,
+                                       double choice) const override {
+    if (parameter == 1) values[0] = std::clamp(values[0] + values[1] - choice, 0.05, 0.95);
+    values[parameter] = choice;
+    return values;
   }
   EffectDelays delays(std::span<const double> values) const override {
     const int whole = static_cast<int>(values[1]);

@@ -8,7 +8,7 @@ using Role = EffectParameter::Role;
 
 class StiffnessHysteresis final : public EquationsOf<StiffnessHysteresis> {
   enum Parameter { kShare, kTravel, kLaw };
-  enum class Law { Travel = 1, ReleasingSpeed, Speed };
+  enum class Law { Travel = 1, ReleasingSpeed, Speed, LinearTravel };
   /// By the laws of speed, the one at which the loop turns round is the travel within this time.
   static constexpr double kWithin_s = 0.01;
 
@@ -37,11 +37,11 @@ class StiffnessHysteresis final : public EquationsOf<StiffnessHysteresis> {
                        {.name = "law",
                         .unit = "",
                         .description = "1 travel turns it round; 2 missing while the pads "
-                                       "move back; 3 half of it at rest, too",
+                                       "move back; 3 half of it at rest, too; 4 as 1, in a straight line",
                         .role = Role::Refinement,
                         .lower = 1,
-                        .upper = 3,
-                        .starts = {1, 2, 3}}},
+                        .upper = 4,
+                        .starts = {1, 4, 2, 3}}},
         .states = 1};
     return kInfo;
   }
@@ -51,8 +51,7 @@ class StiffnessHysteresis final : public EquationsOf<StiffnessHysteresis> {
   }
   template <class T>
   void remember(const effects_detail::Instant<T>& end, const effects_detail::Own<T>& own, T* states) const {
-    states[0] =
-        effects_detail::turned_round(own.states[0], end.travel, end.direction, own.parameters[kTravel]);
+    states[0] = turned_by_travel(end, own);
   }
   template <class T>
   void settle(const effects_detail::Instant<T>&, const effects_detail::Own<T>&, T* states) const {
@@ -60,14 +59,23 @@ class StiffnessHysteresis final : public EquationsOf<StiffnessHysteresis> {
   }
 
  private:
+  template <class T>
+  static T turned_by_travel(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) {
+    const T& travel = own.parameters[kTravel];
+    if (effects_detail::chosen<Law>(own.parameters[kLaw]) != Law::LinearTravel)
+      return effects_detail::turned_round(own.states[0], instant.travel, instant.direction, travel);
+    const T turned = own.states[0] + 2.0 * instant.travel / travel;
+    if (turned > 1.0) return T(1.0);
+    return turned < -1.0 ? T(-1.0) : turned;
+  }
+
   /// Of the loop: 1 on apply, -1 on release.
   template <class T>
   static T side(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) {
     using std::tanh;
     const T& travel = own.parameters[kTravel];
     const auto law = effects_detail::chosen<Law>(own.parameters[kLaw]);
-    if (law == Law::Travel)
-      return effects_detail::turned_round(own.states[0], instant.travel, instant.direction, travel);
+    if (law == Law::Travel || law == Law::LinearTravel) return turned_by_travel(instant, own);
     const T by_speed = tanh(instant.velocity * kWithin_s / travel);
     if (law == Law::Speed) return by_speed;
     return by_speed < 0.0 ? T(1.0 + 2.0 * by_speed) : T(1.0);
