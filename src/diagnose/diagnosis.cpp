@@ -27,10 +27,12 @@ constexpr double kFalseResidual = 0.003;
 /// named effects explain: a real effect never has quite the candidate's form.
 constexpr double kLeastUnexplained_nats = 8.0;
 constexpr double kUnexplainedShare = 0.04;
-/// So many effects that leave so many times what they explain, or a torque noisier than any drive's, are none
-/// of them what is wrong: neither further ones nor the question which of them help most are worth the time.
-constexpr std::size_t kFewestBeforeLost = 2;
+/// Effects that leave so many times what they explain are none of them what is wrong, the first or several,
+/// nor are several with a torque noisier than any drive's: neither further ones nor the question which of
+/// them help most are worth the time.
+constexpr double kLostAtOnce = 10.0;
 constexpr double kLost = 2.0;
+constexpr std::size_t kSeveral = 2;
 /// An effect whose strength these runs know no better than this, over the change that matters, was not seen.
 constexpr double kBlind = 0.5;
 constexpr std::size_t kMostRivals = 3;
@@ -207,13 +209,13 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   const auto much_left = [&] { return something_left() && after.nats > kUnexplainedShare * explained; };
   bool lost = false;
   while (!lost && add_effect(runs, selecting, selection)) {
-    if (selection.effects.size() < kFewestBeforeLost) continue;
     look_at_the_rest();
-    lost = after.nats > kLost * explained || is_torque_impossible(selection.chosen);
+    const bool several = selection.effects.size() >= kSeveral;
+    lost = after.nats > (several ? kLost : kLostAtOnce) * explained ||
+           (several && is_torque_impossible(selection.chosen));
   }
-  lost = lost || (selection.effects.size() >= kFewestBeforeLost && much_left());
-  const bool changed = !lost && reconsider(runs, selecting, selection);
-  if (changed || selection.effects.size() == 1) look_at_the_rest();
+  lost = lost || (selection.effects.size() >= kSeveral && much_left());
+  if (!lost && reconsider(runs, selecting, selection)) look_at_the_rest();
   // Where the base model got stuck, an effect may have explained no more than the way out.
   if (!selection.effects.empty() && is_stuck(base)) {
     Hypothesis bare = selection.chosen;

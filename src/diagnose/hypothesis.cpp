@@ -32,6 +32,8 @@ constexpr double kNotEnded_nats = 3.0;
 constexpr double kStuck_nats = 30.0;
 /// Closer to a bound of what is sensible than by this factor no brake is.
 constexpr double kNearBound = 5.0;
+/// A rough fit from elsewhere that is so much worse, per reading, will not come back.
+constexpr double kHopeless_nats = 0.1;
 /// No drive's torque is as noisy as this.
 constexpr double kImpossibleTorque_Nm = 0.05;
 constexpr std::size_t kMostFits = 4;
@@ -401,9 +403,12 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   }
   const auto attempt_afresh = [&](const EffectValues& values) {
     if (!also_afresh) return;
-    keep_if_better(fitted_from({.values = values}, hypothesis, kModestTorque_Nm,
-                               ExtendedFitOptions{}.max_iterations, Brake::Nominal),
-                   best);
+    Hypothesis afresh =
+        fitted_from({.values = values}, hypothesis, kModestTorque_Nm, kRoughIterations, Brake::Nominal);
+    if (afresh.log_likelihood() < hypothesis.log_likelihood() - kHopeless_nats * hypothesis.estimate.readings)
+      return;
+    refit(afresh);
+    keep_if_better(std::move(afresh), best);
   };
   if (!candidate.starts.empty()) attempt_afresh(candidate.starts.front().values);
   const auto& parameters = info_of(*candidate.effect).parameters;
