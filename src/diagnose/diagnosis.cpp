@@ -252,7 +252,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
     diagnosis.rivals.push_back(std::move(group));
     diagnosis.rival_models.push_back(std::move(models));
   }
-  diagnosis.verdict = is_unexplained                   ? DiagnosisVerdict::Unexplained
+  diagnosis.verdict = is_unexplained              ? DiagnosisVerdict::Unexplained
                       : selection.effects.empty() ? DiagnosisVerdict::Adequate
                       : ambiguous                 ? DiagnosisVerdict::Ambiguous
                                                   : DiagnosisVerdict::Explained;
@@ -306,7 +306,9 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   diagnosis.noise_before = base.estimate.noise;
   diagnosis.noise_after = selection.chosen.estimate.noise;
   diagnosis.parameters_before = base_parameters(base.estimate);
-  diagnosis.parameters_after = base_parameters(averaged(selection).estimate);
+  // What no model explains makes no other form of one any likelier.
+  diagnosis.parameters_after =
+      base_parameters((is_unexplained ? selection.chosen : averaged(selection)).estimate);
   progress(0.96, "judging by runs held out");
   diagnosis.gain = held_out_gain(runs, options.heldout, base, selection.chosen, diagnosis.notices);
   if (options.views) diagnosis.views = views_of(runs, base, selection.chosen);

@@ -104,9 +104,8 @@ Start start_from(const Effect& effect, const std::vector<double>& values, const 
                  const StepForecast& forecast) {
   const auto& parameters = info_of(effect).parameters;
   const Eigen::Index own = forecast.step.size() - estimated_of(effect);
-  Start start{{&effect, values},
-              forecast.after_step - hypothesis.estimate.log_likelihood,
-              forecast.step.head(own)};
+  Start start{
+      {&effect, values}, forecast.after_step - hypothesis.estimate.log_likelihood, forecast.step.head(own)};
   const auto strengths = std::count_if(parameters.begin(), parameters.end(),
                                        [](const auto& each) { return each.role == Role::Strength; });
   Eigen::Index at = forecast.step.size();
@@ -428,8 +427,8 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
       Hypothesis from = hypothesis;
       from.estimate = without_effect(best.estimate, best.estimate.parameters.effects.size() - 1);
       ++fits;
-      keep_if_better(
-          fitted_from({.values = values}, from, best.estimate.noise.torque_Nm, kRoughIterations), best);
+      keep_if_better(fitted_from({.values = values}, from, best.estimate.noise.torque_Nm, kRoughIterations),
+                     best);
       const bool better = gain() > reached;
       if (better)
         attempt_afresh(best.estimate.parameters.effects.back());

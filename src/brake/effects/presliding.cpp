@@ -12,8 +12,8 @@ namespace {
 using Role = EffectParameter::Role;
 
 /// Bristles bend before they slide. By Dahl's law and the elastic one they give way by the same deflection at
-/// any level of friction; LuGre's have one stiffness (Canudas de Wit, Olsson, Astrom, Lischinsky 1995), and so
-/// have the elasto-plastic ones, which do not give way at all up to a share of the level (Dupont, Hayward,
+/// any level of friction; LuGre's have one stiffness (Canudas de Wit, Olsson, Astrom, Lischinsky 1995), and
+/// so have the elasto-plastic ones, which do not give way at all up to a share of the level (Dupont, Hayward,
 /// Armstrong, Altpeter 2002).
 class Presliding final : public EquationsOf<Presliding> {
   enum Parameter { kDeflection, kLaw, kDamping };
@@ -28,7 +28,8 @@ class Presliding final : public EquationsOf<Presliding> {
         .excitation = "reversals, best under load",
         .parameters = {{.name = "deflection",
                         .unit = "rad",
-                        .description = "at which the friction is fully built up (laws 3, 4: a friction of TC)",
+                        .description =
+                            "at which the friction is fully built up (laws 3, 4: a friction of TC)",
                         .role = Role::Shape,
                         .lower = 0.00001,
                         .upper = 3,
@@ -80,7 +81,7 @@ class Presliding final : public EquationsOf<Presliding> {
     const double change = std::abs(acceleration) * kRow_s;
     const bool may_reverse = now.velocity * acceleration <= 0.0 && std::abs(now.velocity) < 2.0 * change;
     if (!may_reverse && now.direction * now.grip > kBuiltUp)
-      return has_one_stiffness(law_of(own)) ? kFewest : 1;  // such bristles follow the level of friction
+      return has_one_stiffness(law_of(own)) ? 2 : 1;  // such bristles follow the level of friction
     // The slowest part of the motion, around a reversal, decides how friction is built up: travel goes with
     // time squared.
     const double travel = (std::abs(now.velocity) + 0.5 * change) * kRow_s;
@@ -135,8 +136,8 @@ class Presliding final : public EquationsOf<Presliding> {
     using std::cos;
     return 0.5 - 0.5 * cos(std::numbers::pi / (1.0 - kBreakaway) * (built_up - kBreakaway));
   }
-  /// b' = 1 - sliding_share(b) b over a travel of `reaches`, both over the level's deflection, while the level
-  /// grows steadily by the share `growth`.
+  /// b' = 1 - sliding_share(b) b over a travel of `reaches`, both over the level's deflection, while the
+  /// level grows steadily by the share `growth`.
   template <class T>
   static T built_up_after(T built_up, T reaches, T growth) {
     constexpr double kSliding = 0.995;  // from here on all of the motion is, nearly
