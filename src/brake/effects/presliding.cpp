@@ -81,7 +81,7 @@ class Presliding final : public EquationsOf<Presliding> {
     const double change = std::abs(acceleration) * kRow_s;
     const bool may_reverse = now.velocity * acceleration <= 0.0 && std::abs(now.velocity) < 2.0 * change;
     if (!may_reverse && now.direction * now.grip > kBuiltUp)
-      return has_one_stiffness(law_of(own)) ? 2 : 1;  // such bristles follow the level of friction
+      return has_one_stiffness(law_of(own)) ? kFewest : 1;  // such bristles follow the level of friction
     // The slowest part of the motion, around a reversal, decides how friction is built up: travel goes with
     // time squared.
     const double travel = (std::abs(now.velocity) + 0.5 * change) * kRow_s;
