@@ -109,6 +109,56 @@ TEST(LostStart, CostsNeitherTheEstimateNorTheDiagnosis) {
   EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
 }
 
+/// Far stronger than any on the bench, so that the base model is led far away.
+struct Strong {
+  const char* effect;
+  void (*onto_physics)(blind::Physics&);
+};
+class StrongEffects : public ::testing::TestWithParam<Strong> {};
+INSTANTIATE_TEST_SUITE_P(Sample, StrongEffects,
+                         ::testing::Values(Strong{"friction-drift",
+                                                  [](blind::Physics& p) { p.friction_drift.per_run = 0.05; }},
+                                           Strong{"channel-skew",
+                                                  [](blind::Physics& p) {
+                                                    p.skewed = blind::Channel::Velocity;
+                                                    p.skew_samples = 3.0;
+                                                  }},
+                                           Strong{"stiffness-hysteresis",
+                                                  [](blind::Physics& p) {
+                                                    p.hysteresis = {.law = blind::Loop::SignLike,
+                                                                    .share = 0.08,
+                                                                    .travel_rad = 0.2};
+                                                  }},
+                                           Strong{"presliding",
+                                                  [](blind::Physics& p) {
+                                                    p.presliding = {.law = blind::Bristles::ElastoPlastic,
+                                                                    .travel_rad = 0.006,
+                                                                    .damping = 0.3};
+                                                  }}),
+                         [](const auto& strong) {
+                           std::string name = strong.param.effect;
+                           std::replace(name.begin(), name.end(), '-', '_');
+                           return name;
+                         });
+
+TEST_P(StrongEffects, AreNamedAloneAndLeaveTheParametersRight) {
+  blind::Request request;
+  request.effect = GetParam().effect;
+  request.seed = 77;
+  blind::Answer answer = blind::draw_answer(request);
+  answer.effects.front().onto_physics = GetParam().onto_physics;
+  const Result<blind::BlindSet> set = blind::simulate(answer);
+  ASSERT_TRUE(set);
+  const Diagnosis diagnosis = spoken(set->runs);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Explained) << diagnosis.summary;
+  ASSERT_EQ(diagnosis.effects.size(), 1u) << diagnosis.summary;
+  EXPECT_EQ(diagnosis.effects.front().name, GetParam().effect);
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const EstimatedParameter& found = diagnosis.parameters_after[i];
+    EXPECT_NEAR(found.value, answer.brake.theta[static_cast<Eigen::Index>(i)], 4.0 * found.sd) << found.name;
+  }
+}
+
 class FaultlessSets : public ::testing::TestWithParam<std::uint64_t> {};
 INSTANTIATE_TEST_SUITE_P(Sample, FaultlessSets, ::testing::Values(100, 101, 102));
 

@@ -146,8 +146,9 @@ class Presliding final : public EquationsOf<Presliding> {
       // b' travel = travel - (travel + growing) b
       const T rate = travel + growing;
       using std::exp;
-      return rate > 1e-4 ? T(from + (travel / rate - from) * (1.0 - exp(-rate)))
-                         : T(from + travel - rate * from);
+      return std::abs(effects_detail::value_of(rate)) > 1e-4
+                 ? T(from + (travel / rate - from) * (1.0 - exp(-rate)))
+                 : T(from + travel - rate * from);
     };
     if (built_up >= kSliding) return closed(built_up, reaches, growth);
     T beyond = T(0.0), growth_beyond = T(0.0);
