@@ -1,4 +1,6 @@
+#include <algorithm>
 #include <array>
+#include <numeric>
 
 #include "src/brake/effects/catalogue.hpp"
 
@@ -24,12 +26,33 @@ std::string_view to_string(Location location) noexcept {
 
 std::span<const Effect* const> effects() {
   static const std::array kCatalogue{
-      &torque_offset(),      &torque_gain(),    &torque_lag(),       &coulomb_load(),
-      &friction_asymmetry(), &quadratic_drag(), &cogging(),          &inertia_error(),
-      &ratio_error(),        &presliding(),     &friction_drift(),   &stiffness_hysteresis(),
-      &pad_damping(),        &pad_relaxation(), &backlash(),         &stiffness_shape(),
-      &force_offset(),       &force_lag(),      &force_saturation(), &force_hum(),
-      &velocity_lag(),       &channel_skew(),   &outliers(),
+      // what acts on the motor
+      &torque_lag(),
+      &torque_gain(),
+      &torque_offset(),
+      // friction and inertia
+      &coulomb_load(),
+      &friction_asymmetry(),
+      &quadratic_drag(),
+      &friction_drift(),
+      &cogging(),
+      &inertia_error(),
+      &ratio_error(),
+      &presliding(),
+      // the pads
+      &backlash(),
+      &stiffness_shape(),
+      &stiffness_hysteresis(),
+      &pad_damping(),
+      &pad_relaxation(),
+      // the readings
+      &force_lag(),
+      &velocity_lag(),
+      &force_offset(),
+      &force_saturation(),
+      &force_hum(),
+      &channel_skew(),
+      &outliers(),
   };
   return kCatalogue;
 }
@@ -51,6 +74,18 @@ std::vector<double> starts_of(const Effect& effect, std::size_t parameter, std::
 std::vector<double> chosen_otherwise(const Effect& effect, std::vector<double> values, std::size_t parameter,
                                      double choice) {
   return effect.chosen_otherwise(std::move(values), parameter, choice);
+}
+
+std::vector<std::size_t> effects_detail::chain_of(const std::vector<EffectValues>& values) {
+  const std::span<const Effect* const> catalogue = effects();
+  const auto place = [&](std::size_t i) {
+    return std::find(catalogue.begin(), catalogue.end(), values[i].effect);
+  };
+  std::vector<std::size_t> chain(values.size());
+  std::iota(chain.begin(), chain.end(), std::size_t{0});
+  std::stable_sort(chain.begin(), chain.end(),
+                   [&](std::size_t a, std::size_t b) { return place(a) < place(b); });
+  return chain;
 }
 
 EffectDelays delays_of(const EffectValues& values) {

@@ -30,6 +30,8 @@ class ExtendedEquations {
       states_ += values.effect->info().states;
       is_stiff_ = is_stiff_ || values.effect->is_stiff();
     }
+    for (const std::size_t part : effects_detail::chain_of(parameters.effects))
+      chain_.push_back(parts_[part]);
   }
 
   T& number(const ExtendedBrake::Place& place) {
@@ -62,8 +64,10 @@ class ExtendedEquations {
     const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * substeps;
     T next[ExtendedBrake::kMostStates];
     std::copy(states, states + ExtendedBrake::kMostStates, next);
-    each(states,
-         [&](const auto& effect, const auto& own, int at) { effect.on_torque(input, own, next + at); });
+    // A reading of torque is undone from its end.
+    for (auto part = chain_.rbegin(); part != chain_.rend(); ++part)
+      static_cast<const effects_detail::Equations<T>&>(*part->effect)
+          .on_torque(input, {own_ + part->own, states + part->state}, next + part->state);
     if (!has_own_states()) {
       for (int i = 0; i < steps; ++i) step(states, input.torque_Nm, row, row.gap_s / steps, values);
       return;
@@ -162,7 +166,7 @@ class ExtendedEquations {
 
   template <class Act>
   void each(const T* states, const Act& act) const {
-    for (const Part& part : parts_)
+    for (const Part& part : chain_)
       act(static_cast<const effects_detail::Equations<T>&>(*part.effect),
           effects_detail::Own<T>{own_ + part.own, states + part.state}, part.state);
   }
@@ -283,7 +287,8 @@ class ExtendedEquations {
 
   bool has_own_states() const { return states_ > 2; }  ///< to be remembered from row to row
 
-  std::vector<Part> parts_;
+  std::vector<Part> parts_;  ///< as the model lists them
+  std::vector<Part> chain_;  ///< as they act one on another
   FixedParameters fixed_;
   T theta_[kParameterCount];
   T own_[kMostOwn];

@@ -201,6 +201,7 @@ Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double 
   if (brake == Brake::Nominal) extended.estimate.parameters.base.theta = nominal_parameters();
   refit(extended, max_iterations);
   extended.unused_log_likelihood += likelihood_of_unusable(delays, extended);
+  extended.degrees += degrees_of(*start.values.effect, extended.runs.size());
   return extended;
 }
 
@@ -243,6 +244,11 @@ void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std:
       if (other.possible()) list.push_back(std::move(other));
     }
   }
+}
+
+void weigh(Candidate& candidate, const Hypothesis& hypothesis) {
+  candidate.gain = std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood());
+  candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
 
 /// A grid of orders of a torque that is periodic in the motor angle.
@@ -439,11 +445,16 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
     }
   }
   candidate.gain = std::max(0.0, gain());
-  if (best.possible()) {
-    best.degrees = hypothesis.degrees + candidate.degrees;
-    candidate.fitted = std::move(best);
-  }
+  if (best.possible()) candidate.fitted = std::move(best);
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
+}
+
+void fit_from(const Hypothesis& elsewhere, const Hypothesis& hypothesis, Candidate& candidate) {
+  if (!candidate.fitted.possible()) return;
+  Hypothesis other = fitted_from({.values = candidate.fitted.estimate.parameters.effects.back()}, elsewhere,
+                                 elsewhere.estimate.noise.torque_Nm, kRoughIterations);
+  keep_if_better(std::move(other), candidate.fitted);
+  weigh(candidate, hypothesis);
 }
 
 void finish(Candidate& candidate, const Hypothesis& hypothesis) {
@@ -484,8 +495,7 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
   add_otherwise_chosen(candidate.fitted, candidate.fitted.estimate.parameters.effects.size() - 1,
                        {Role::Choice}, others);
   for (Hypothesis& other : others) keep_if_better(std::move(other), candidate.fitted);
-  candidate.gain = std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood());
-  candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
+  weigh(candidate, hypothesis);
 }
 
 void refit(Hypothesis& hypothesis, int max_iterations) {

@@ -61,6 +61,9 @@ Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<
 /// `also_afresh`: from the nominal brake as well.
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh);
 
+/// Once more, beside another fit of the same hypothesis.
+void fit_from(const Hypothesis& elsewhere, const Hypothesis& hypothesis, Candidate& candidate);
+
 /// Whether its own parameters have not found their best, as where an effect leads them far away.
 bool is_stuck(const Hypothesis& hypothesis);
 

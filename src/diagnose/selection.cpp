@@ -29,6 +29,8 @@ constexpr double kKnown = 0.5;
 constexpr double kSame_nats = 2.0;
 /// Relative error of a harmonic's order.
 constexpr double kHarmonic = 0.03;
+/// Of what the best one gained: enough to be worth a fit from elsewhere.
+constexpr double kFair = 0.5;
 /// Fitted to the end are those not behind the best rough fit by this share and these nats.
 constexpr double kLeading = 0.8;
 constexpr double kFarBehind_nats = 40.0;
@@ -80,9 +82,10 @@ class Selector {
       : runs_(runs), options_(options), alarm_(alarm_level(options.false_alarm)) {}
 
   /// All candidates beside a hypothesis, the promising ones fitted, best first. One that gains less than
-  /// `material` does not matter.
-  std::vector<Candidate> judge(const Hypothesis& hypothesis, double material, double from, double to,
-                               const std::string& words) {
+  /// `material` does not matter. `elsewhere`: the same model at another place, from where good ones are fitted
+  /// as well.
+  std::vector<Candidate> judge(const Hypothesis& hypothesis, const Hypothesis* elsewhere, double material,
+                               double from, double to, const std::string& words) {
     const std::size_t others = hypothesis.estimate.parameters.effects.size();
     const std::size_t most_fits = others == 0 ? kMostFits : kMostLaterFits;
     std::vector<const Effect*> tried;
@@ -109,9 +112,19 @@ class Selector {
     const bool stuck = !worth.empty() && is_stuck(hypothesis);
     for_each_index(worth.size(), hypothesis.threads,
                    [&](std::size_t i) { fit(candidates[worth[i]], hypothesis, stuck); });
-    double reached = 0.0;
-    for (const Candidate& candidate : candidates)
-      if (candidate.is_fitted) reached = std::max(reached, candidate.gain);
+    const auto most = [&] {
+      double reached = 0.0;
+      for (const Candidate& candidate : candidates)
+        if (candidate.is_fitted) reached = std::max(reached, candidate.gain);
+      return reached;
+    };
+    if (elsewhere != nullptr) {
+      const double fair = kFair * most();
+      for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
+        if (candidates[worth[i]].gain > fair) fit_from(*elsewhere, hypothesis, candidates[worth[i]]);
+      });
+    }
+    const double reached = most();
     std::vector<std::size_t> leading;
     for (std::size_t i = 0; i < candidates.size(); ++i)
       if (candidates[i].is_fitted && candidates[i].evidence > kNearAlarm * alarm(others) &&
@@ -206,7 +219,7 @@ bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Sele
     if (selected.name != kSpikes) formed += selected.gain;
   const double next = selection.share + 0.5 * (0.95 - selection.share);
   selection.stages.push_back(selector.judge(
-      selection.chosen, kMaterial * formed, selection.share, next,
+      selection.chosen, nullptr, kMaterial * formed, selection.share, next,
       others == 0 ? "trying every effect" : fmt::format("trying every effect beside {} found", others)));
   selection.share = next;
   const std::vector<Candidate>& candidates = selection.stages.back();
@@ -228,6 +241,10 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
   bool changed = false;
   for (std::size_t e = 0; e < selection.effects.size() && selection.effects.size() > 1;) {
     Hypothesis reduced = without(selection.chosen, e, runs);
+    // Fitted without an effect, the others bend around it: what takes its place is also fitted beside the
+    // others as they were.
+    Hypothesis unbent = reduced;
+    unbent.estimate = without_effect(selection.chosen.estimate, e);
     // Without the last one it is where the search was before, and what else was there to add is known; unless
     // that was no more than a poor fit of the others.
     bool as_before = exchanges == 0 && selection.effects.size() == added && e + 1 == added;
@@ -256,7 +273,7 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
     const double next = selection.share + 0.4 * (0.97 - selection.share);
     const std::vector<Candidate> candidates =
         as_before ? selection.stages[e]
-                  : selector.judge(reduced, 0.0, selection.share, next, fmt::format("is {} needed?", name));
+                  : selector.judge(reduced, &unbent, 0.0, selection.share, next, fmt::format("is {} needed?", name));
     selection.share = next;
     const auto itself = std::find_if(candidates.begin(), candidates.end(),
                                      [&](const Candidate& candidate) { return candidate.name() == name; });

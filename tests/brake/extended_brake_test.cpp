@@ -403,6 +403,36 @@ TEST(StiffnessHysteresis, MayGoByTheSpeed) {
       friction);
 }
 
+/// A load cell that is slow, off and clipped clips what it is late with, whatever was named first.
+TEST(Chain, IsTheSameInAnyOrder) {
+  constexpr double kLevel_N = 9000.0, kLag_s = 0.004;
+  const EffectValues lag{find_effect("force-lag"), {kLag_s}};
+  const EffectValues offset{find_effect("force-offset"), {50.0}};
+  const EffectValues limit{find_effect("force-saturation"), {kLevel_N}};
+  const EffectValues late{find_effect("torque-lag"), {0.002}};
+  const EffectValues gain{find_effect("torque-gain"), {0.05}};
+  const std::vector<std::vector<EffectValues>> orders{
+      {lag, offset, limit, late, gain}, {limit, gain, late, offset, lag}, {gain, offset, lag, limit, late}};
+  std::vector<std::vector<double>> forces;
+  double highest = 0.0, slowest = 0.0;
+  for (const std::vector<EffectValues>& effects : orders) {
+    const ExtendedBrake brake({{}, effects});
+    ExtendedBrake::State state = brake.settled(-4.0, 0.0, row_at(0));
+    std::vector<double>& force = forces.emplace_back();
+    for (int k = 0; k < 200; ++k) {
+      force.push_back(brake.read(state, row_at(k)).force_N);
+      highest = std::max(highest, force.back());
+      slowest = std::max(slowest, elastic_N(state[0]) + 50.0 - force.back());
+      state = brake.advance(state, row_at(k));
+    }
+  }
+  for (const std::vector<double>& other : forces)
+    for (std::size_t k = 0; k < other.size(); ++k) ASSERT_DOUBLE_EQ(other[k], forces.front()[k]) << k;
+  EXPECT_DOUBLE_EQ(highest, kLevel_N) << "clipped, though the lag has a state of its own";
+  EXPECT_GT(slowest, 500.0) << "late, though it is clipped";
+  EXPECT_DOUBLE_EQ(forces.front().front(), 50.0);
+}
+
 /// Spinning free, two periods of the cogging a row.
 TEST(Cogging, IsRightWhereAStepTakesInWholePeriods) {
   constexpr double kAmplitude_Nm = 0.05, kOrder = 60.0;

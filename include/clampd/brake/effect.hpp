@@ -60,7 +60,8 @@ struct EffectInfo {
 /// One physical effect beside the base model, pluggable: src/brake/effects/effect_equations.hpp.
 class Effect;
 
-/// THE catalogue of effects; a new one is one file in src/brake/effects and one line there.
+/// THE catalogue of effects, in the order in which they act one on another, from the torque that acts to the
+/// readings; a new one is one file in src/brake/effects and one line there.
 std::span<const Effect* const> effects();
 
 /// Null if there is none of that name.

@@ -28,6 +28,10 @@ struct Own {
   const T* states;  ///< at the start of the stretch
 };
 
+/// Indices of effects in the catalogue's order: what a lag or a limit makes of a reading depends on what came
+/// before it, not on what was named first.
+std::vector<std::size_t> chain_of(const std::vector<EffectValues>& effects);
+
 /// A parameter of the role Choice or Refinement, as the enumerator that it numbers.
 template <class Enumeration, class T>
 Enumeration chosen(const T& parameter) {
