@@ -41,6 +41,8 @@ constexpr double kNearAlarm = 0.5;
 constexpr double kMaterial = 0.01;
 /// Two things wrong at once are so much rarer than one.
 constexpr double kFurtherEffect = 0.1;
+/// Of fewer, the one that would do for two was found first.
+constexpr std::size_t kFewestToSimplify = 3;
 
 double rank(const Candidate& candidate) {
   return candidate.is_fitted && candidate.fitted.possible() ? candidate.evidence : -1e9;
@@ -82,8 +84,8 @@ class Selector {
       : runs_(runs), options_(options), alarm_(alarm_level(options.false_alarm)) {}
 
   /// All candidates beside a hypothesis, the promising ones fitted, best first. One that gains less than
-  /// `material` does not matter. `elsewhere`: the same model at another place, from where good ones are fitted
-  /// as well.
+  /// `material` does not matter. `elsewhere`: the same model at another place, from where good ones are
+  /// fitted as well.
   std::vector<Candidate> judge(const Hypothesis& hypothesis, const Hypothesis* elsewhere, double material,
                                double from, double to, const std::string& words) {
     const std::size_t others = hypothesis.estimate.parameters.effects.size();
@@ -204,6 +206,27 @@ double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
   return std::isfinite(nats) ? nats : std::numeric_limits<double>::infinity();
 }
 
+/// With a rival in an effect's place another one may be superfluous: takes the first model of one effect less
+/// that does as well. Whether there was one.
+bool simplify(std::span<const Run> runs, double alarm, Selection& selection) {
+  if (selection.effects.size() < kFewestToSimplify) return false;
+  for (const Selected& selected : selection.effects)
+    for (const Candidate& rival : selected.rivals)
+      for (std::size_t other = 0; other + 1 < selection.effects.size(); ++other) {
+        Hypothesis simpler = without(rival.fitted, other, runs);
+        if (!simpler.possible()) continue;
+        const double degrees = std::max(1.0, selection.chosen.degrees - simpler.degrees);
+        if (evidence_of(selection.chosen.log_likelihood() - simpler.log_likelihood(), degrees, 1.0) >= alarm)
+          continue;
+        selection.chosen = std::move(simpler);
+        selection.effects.clear();
+        for (const EffectValues& left : selection.chosen.estimate.parameters.effects)
+          selection.effects.push_back({.name = std::string(info_of(*left.effect).name), .rivals = {}});
+        return true;
+      }
+  return false;
+}
+
 }  // namespace
 
 double alarm_level(double false_alarm) {
@@ -239,7 +262,13 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
   const std::size_t added = selection.effects.size();
   int exchanges = 0;
   bool changed = false;
-  for (std::size_t e = 0; e < selection.effects.size() && selection.effects.size() > 1;) {
+  for (std::size_t e = 0; selection.effects.size() > 1;) {
+    if (e == selection.effects.size()) {
+      if (!simplify(runs, selector.alarm(selection.effects.size() - 1), selection)) break;
+      ++exchanges;
+      changed = true;
+      e = 0;
+    }
     Hypothesis reduced = without(selection.chosen, e, runs);
     // Fitted without an effect, the others bend around it: what takes its place is also fitted beside the
     // others as they were.
@@ -271,9 +300,10 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
       continue;
     }
     const double next = selection.share + 0.4 * (0.97 - selection.share);
-    const std::vector<Candidate> candidates =
-        as_before ? selection.stages[e]
-                  : selector.judge(reduced, &unbent, 0.0, selection.share, next, fmt::format("is {} needed?", name));
+    const std::vector<Candidate> candidates = as_before
+                                                  ? selection.stages[e]
+                                                  : selector.judge(reduced, &unbent, 0.0, selection.share,
+                                                                   next, fmt::format("is {} needed?", name));
     selection.share = next;
     const auto itself = std::find_if(candidates.begin(), candidates.end(),
                                      [&](const Candidate& candidate) { return candidate.name() == name; });
