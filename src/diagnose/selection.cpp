@@ -218,10 +218,19 @@ bool simplify(std::span<const Run> runs, double alarm, Selection& selection) {
         const double degrees = std::max(1.0, selection.chosen.degrees - simpler.degrees);
         if (evidence_of(selection.chosen.log_likelihood() - simpler.log_likelihood(), degrees, 1.0) >= alarm)
           continue;
+        std::vector<Selected> left;
+        for (const EffectValues& values : simpler.estimate.parameters.effects) {
+          const std::string_view name = info_of(*values.effect).name;
+          const auto before = std::find_if(selection.effects.begin(), selection.effects.end(),
+                                           [&](const Selected& present) { return present.name == name; });
+          const bool is_rival = before == selection.effects.end();
+          left.push_back({std::string(name),
+                          is_rival ? rival.gain : before->gain,
+                          is_rival ? rival.evidence : before->evidence,
+                          {}});
+        }
         selection.chosen = std::move(simpler);
-        selection.effects.clear();
-        for (const EffectValues& left : selection.chosen.estimate.parameters.effects)
-          selection.effects.push_back({.name = std::string(info_of(*left.effect).name), .rivals = {}});
+        selection.effects = std::move(left);
         return true;
       }
   return false;
