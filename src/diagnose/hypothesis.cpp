@@ -83,19 +83,18 @@ double choices_of(const Effect& effect) {
   return count;
 }
 
+Eigen::Index estimated_of(const Effect& effect) {
+  const auto& parameters = info_of(effect).parameters;
+  return std::count_if(parameters.begin(), parameters.end(), is_estimated);
+}
+
 double degrees_of(const Effect& effect, std::size_t runs) {
   const EffectInfo& info = info_of(effect);
   double degrees =
       info.free_states_count ? static_cast<double>(info.free_states) * static_cast<double>(runs) : 0.0;
-  for (const EffectParameter& parameter : info.parameters)
-    if (is_estimated(parameter)) degrees += 1.0;
+  degrees += static_cast<double>(estimated_of(effect));
   // Spikes have no equations; their share and size are what is estimated.
   return degrees > 0.0 ? degrees : kSpikeDegrees;
-}
-
-Eigen::Index estimated_of(const Effect& effect) {
-  const auto& parameters = info_of(effect).parameters;
-  return std::count_if(parameters.begin(), parameters.end(), is_estimated);
 }
 
 /// The effect at the end of the step that the forecast proposes, within its bounds; what it promises is void
@@ -180,12 +179,12 @@ void follow(const Start& start, Hypothesis& extended) {
     return forecast(extended.runs, extended.estimate, extended.threads).log_likelihood;
   };
   const ExtendedParameters before = extended.estimate.parameters;
-  double best = likelihood();
+  const double alone = likelihood();
   for (double share = 1.0; share > kLeast; share *= 0.5) {
     ExtendedParameters moved = before;
     move_along(start.step, share, moved);
     std::swap(extended.estimate.parameters, moved);
-    if (likelihood() > best) return;
+    if (likelihood() > alone) return;
     std::swap(extended.estimate.parameters, moved);
   }
 }
@@ -432,7 +431,6 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
       }
       Hypothesis from = hypothesis;
       from.estimate = without_effect(best.estimate, best.estimate.parameters.effects.size() - 1);
-      ++fits;
       keep_if_better(fitted_from({.values = values}, from, best.estimate.noise.torque_Nm, kRoughIterations),
                      best);
       const bool better = gain() > reached;

@@ -279,10 +279,6 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
       e = 0;
     }
     Hypothesis reduced = without(selection.chosen, e, runs);
-    // Fitted without an effect, the others bend around it: what takes its place is also fitted beside the
-    // others as they were.
-    Hypothesis unbent = reduced;
-    unbent.estimate = without_effect(selection.chosen.estimate, e);
     // Without the last one it is where the search was before, and what else was there to add is known; unless
     // that was no more than a poor fit of the others.
     bool as_before = exchanges == 0 && selection.effects.size() == added && e + 1 == added;
@@ -309,10 +305,17 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
       continue;
     }
     const double next = selection.share + 0.4 * (0.97 - selection.share);
-    const std::vector<Candidate> candidates = as_before
-                                                  ? selection.stages[e]
-                                                  : selector.judge(reduced, &unbent, 0.0, selection.share,
-                                                                   next, fmt::format("is {} needed?", name));
+    std::vector<Candidate> candidates;
+    if (as_before) {
+      candidates = selection.stages[e];
+    } else {
+      // Fitted without an effect, the others bend around it: what takes its place is also fitted beside the
+      // others as they were.
+      Hypothesis unbent = reduced;
+      unbent.estimate = without_effect(selection.chosen.estimate, e);
+      candidates =
+          selector.judge(reduced, &unbent, 0.0, selection.share, next, fmt::format("is {} needed?", name));
+    }
     selection.share = next;
     const auto itself = std::find_if(candidates.begin(), candidates.end(),
                                      [&](const Candidate& candidate) { return candidate.name() == name; });

@@ -36,6 +36,12 @@ bool names(const Diagnosis& diagnosis, const std::string& effect) {
                      [&](const NamedEffect& named) { return named.name == effect; });
 }
 
+/// An effect's name as a test's.
+std::string label_of(std::string effect) {
+  std::replace(effect.begin(), effect.end(), '-', '_');
+  return effect;
+}
+
 /// One that is plainly there, in either generator: a fixed small sample of the bench's.
 struct Hidden {
   const char* effect;
@@ -52,11 +58,7 @@ INSTANTIATE_TEST_SUITE_P(Sample, HiddenEffects,
                                            Hidden{"cogging", blind::Generator::Station, 1024},
                                            Hidden{"outliers", blind::Generator::Independent, 1011},
                                            Hidden{"pad-relaxation", blind::Generator::Station, 1038}),
-                         [](const auto& hidden) {
-                           std::string name = hidden.param.effect;
-                           std::replace(name.begin(), name.end(), '-', '_');
-                           return name;
-                         });
+                         [](const auto& hidden) { return label_of(hidden.param.effect); });
 
 TEST_P(HiddenEffects, AreNamedAndTheirRemovalLeavesNoise) {
   blind::Request request;
@@ -135,11 +137,7 @@ INSTANTIATE_TEST_SUITE_P(Sample, StrongEffects,
                                                                     .travel_rad = 0.006,
                                                                     .damping = 0.3};
                                                   }}),
-                         [](const auto& strong) {
-                           std::string name = strong.param.effect;
-                           std::replace(name.begin(), name.end(), '-', '_');
-                           return name;
-                         });
+                         [](const auto& strong) { return label_of(strong.param.effect); });
 
 TEST_P(StrongEffects, AreNamedAloneAndLeaveTheParametersRight) {
   blind::Request request;

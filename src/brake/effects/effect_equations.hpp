@@ -127,6 +127,14 @@ T turned_round(const T& state, const T& travel, double direction, const T& reach
   return direction + (state - direction) * exp(-direction * travel / reach);
 }
 
+/// The same in a straight line: by one over a travel of `reach`.
+template <class T>
+T turned_straight(const T& state, const T& travel, const T& reach) {
+  const T turned = state + travel / reach;
+  if (turned > 1.0) return T(1.0);
+  return turned < -1.0 ? T(-1.0) : turned;
+}
+
 }  // namespace effects_detail
 
 /// See EquationsOf, from which every effect derives.

@@ -197,9 +197,7 @@ class Presliding final : public EquationsOf<Presliding> {
                             T(instant.direction * instant.travel / (deflection * mean)),
                             T((level - own.states[1]) / mean));
     }
-    const T bent = own.states[0] + instant.travel / deflection;
-    if (bent > 1.0) return T(1.0);
-    return bent < -1.0 ? T(-1.0) : bent;
+    return effects_detail::turned_straight(own.states[0], instant.travel, deflection);
   }
 };
 

@@ -64,9 +64,7 @@ class StiffnessHysteresis final : public EquationsOf<StiffnessHysteresis> {
     const T& travel = own.parameters[kTravel];
     if (effects_detail::chosen<Law>(own.parameters[kLaw]) != Law::LinearTravel)
       return effects_detail::turned_round(own.states[0], instant.travel, instant.direction, travel);
-    const T turned = own.states[0] + 2.0 * instant.travel / travel;
-    if (turned > 1.0) return T(1.0);
-    return turned < -1.0 ? T(-1.0) : turned;
+    return effects_detail::turned_straight(own.states[0], instant.travel, T(0.5 * travel));
   }
 
   /// Of the loop: 1 on apply, -1 on release.
