@@ -179,9 +179,9 @@ class ExtendedEquations {
     return now;
   }
 
-  /// Everything about an instant from where the brake is.
-  void complete(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
-                const T& elapsed, const T& torque, const T* states) const {
+  /// Of an instant from where the brake is: all up to the clamp force.
+  void press(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
+             const T& elapsed, const T* states) const {
     now.elapsed_s = elapsed;
     now.travel = travel;
     now.position = position;
@@ -194,6 +194,12 @@ class ExtendedEquations {
       now.elastic_N = T(0.0);
     now.force_N = now.elastic_N;
     each(states, [&](const auto& effect, const auto& own, int) { effect.on_force(now, own); });
+  }
+
+  /// Everything.
+  void complete(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
+                const T& elapsed, const T& torque, const T* states) const {
+    press(now, position, velocity, travel, elapsed, states);
     now.coulomb_Nm = theta_[TC];
     now.static_Nm = theta_[Ts0] + theta_[mus] * now.force_N;
     now.viscous_Nm_s_rad = theta_[Tv];
@@ -218,7 +224,7 @@ class ExtendedEquations {
 
   T force_at(const T* states, const RowInput& row) const {
     effects_detail::Instant<T> now = start_of(row, effects_detail::value_of(states[1]) < 0.0 ? -1.0 : 1.0);
-    complete(now, states[0], states[1], T(0.0), T(0.0), T(0.0), states);
+    press(now, states[0], states[1], T(0.0), T(0.0), states);
     return now.force_N;
   }
 

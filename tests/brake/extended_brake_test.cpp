@@ -262,10 +262,10 @@ double sliding(Bristles::Law law, double share) {
 
 class BristleLaws : public ::testing::TestWithParam<Bristles> {};
 INSTANTIATE_TEST_SUITE_P(Presliding, BristleLaws,
-                         ::testing::Values(Bristles{Bristles::Law::LuGre, 0.0006, 0.4, 5.0, 0.08, 3},
+                         ::testing::Values(Bristles{Bristles::Law::LuGre, 0.0006, 0.4, 5.0, 0.12, 3},
                                            Bristles{Bristles::Law::LuGre, 0.02, 0.1, 1.0, 0.02, 1},
                                            Bristles{Bristles::Law::LuGre, 0.08, 0.0, 1.0, 0.02, 1},
-                                           Bristles{Bristles::Law::ElastoPlastic, 0.0006, 0.4, 5.0, 0.08, 3},
+                                           Bristles{Bristles::Law::ElastoPlastic, 0.0006, 0.4, 5.0, 0.12, 3},
                                            Bristles{Bristles::Law::ElastoPlastic, 0.02, 0.1, 2.0, 0.02, 1},
                                            Bristles{Bristles::Law::ElastoPlastic, 0.08, 0.0, 1.0, 0.02, 1}),
                          [](const auto& each) { return fmt::format("{}", each.index); });

@@ -40,10 +40,8 @@ class Cogging final : public EquationsOf<Cogging> {
   }
   template <class T>
   void balance(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
-    using std::cos;
-    using std::sin;
-    const T angle = own.parameters[2] * instant.position;
-    instant.opposing_Nm += (own.parameters[0] * sin(angle) + own.parameters[1] * cos(angle)) *
+    const effects_detail::Turned<T> turned(own.parameters[2] * instant.position);
+    instant.opposing_Nm += (own.parameters[0] * turned.sine + own.parameters[1] * turned.cosine) *
                            mean_over_step(T(own.parameters[2] * instant.velocity * instant.step_s));
   }
 
@@ -52,11 +50,11 @@ class Cogging final : public EquationsOf<Cogging> {
   /// weighted 1 : 4 : 1, make the mean of the wave over the phase that passes.
   template <class T>
   static T mean_over_step(const T& phase) {
-    using std::cos;
-    using std::sin;
     const T half = 0.5 * phase;
-    if (half < 1e-4 && half > -1e-4) return T(1.0);
-    return sin(half) / half * 3.0 / (2.0 + cos(half));
+    const T square = half * half;
+    if (square < 0.04) return 1.0 - square * square * (1.0 / 180.0 + square / 1512.0);  // its series
+    const effects_detail::Turned<T> turned(half);
+    return 3.0 * turned.sine / (half * (2.0 + turned.cosine));
   }
 };
 

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <span>
+#include <type_traits>
 
 #include <ceres/jet.h>
 
@@ -20,6 +21,22 @@ inline double value_of(double number) {
 inline double value_of(const Jet& number) {
   return number.a;
 }
+
+/// Sine and cosine at the price of one: a Jet's sine asks for both, and so does its cosine.
+template <class T>
+struct Turned {
+  explicit Turned(const T& angle) : sine(angle), cosine(angle) {
+    const double s = std::sin(value_of(angle)), c = std::cos(value_of(angle));
+    if constexpr (std::is_same_v<T, double>) {
+      sine = s;
+      cosine = c;
+    } else {
+      sine = T(s, c * angle.v);
+      cosine = T(c, -s * angle.v);
+    }
+  }
+  T sine, cosine;
+};
 
 /// An effect's own parameters (all of its table) and states, as numbers of type T.
 template <class T>

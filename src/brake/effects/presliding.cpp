@@ -81,7 +81,7 @@ class Presliding final : public EquationsOf<Presliding> {
     const double change = std::abs(acceleration) * kRow_s;
     const bool may_reverse = now.velocity * acceleration <= 0.0 && std::abs(now.velocity) < 2.0 * change;
     if (!may_reverse && now.direction * now.grip > kBuiltUp)
-      return has_one_stiffness(law_of(own)) ? kFewest : 1;  // such bristles follow the level of friction
+      return has_one_stiffness(law_of(own)) ? substeps_sliding(own, now) : 1;
     // The slowest part of the motion, around a reversal, decides how friction is built up: travel goes with
     // time squared.
     const double travel = (std::abs(now.velocity) + 0.5 * change) * kRow_s;
@@ -125,6 +125,24 @@ class Presliding final : public EquationsOf<Presliding> {
     return effects_detail::chosen<Law>(own.parameters[kLaw]);
   }
   static bool has_one_stiffness(Law law) { return law == Law::LuGre || law == Law::ElastoPlastic; }
+
+  /// Bristles that slide follow the level of friction, which falls with velocity, and their damping then acts
+  /// like an inertia. The scheme knows the acceleration in it a step late only: as large as that is beside the
+  /// brake's own inertia, as many steps.
+  static int substeps_sliding(const effects_detail::Own<double>& own,
+                              const effects_detail::Instant<double>& now) {
+    constexpr int kMost = 4;
+    constexpr double kAtOnce = 0.005;
+    const double highest = now.static_Nm - now.coulomb_Nm;
+    const double share = (now.level_Nm - now.coulomb_Nm) / highest;
+    // d level / d velocity of the Stribeck curve (4), from where on it the brake is.
+    const double slope = 2.0 * std::abs(highest / now.velocity) * share * (1.0 - share);
+    const double apparent = 2.0 * own.parameters[kDamping] *
+                            std::sqrt(own.parameters[kDeflection] * now.inertia_kg_m2 / now.coulomb_Nm) *
+                            slope;
+    const double steps = std::ceil(apparent / (kAtOnce * now.inertia_kg_m2));
+    return steps < kMost ? std::max(1, static_cast<int>(steps)) : kMost;
+  }
 
   /// Of elasto-plastic bristles bent by this share of the level in the direction of motion, the share of the
   /// motion that is sliding.
