@@ -245,10 +245,8 @@ void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std:
   }
 }
 
-void weigh(Candidate& candidate, const Hypothesis& hypothesis) {
-  candidate.gain = std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood());
-  candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
-}
+/// Whether its starts are peaks of a scan, each of which promises about what it can bring.
+bool is_scanned(const Effect& effect) { return info_of(effect).name == "cogging"; }
 
 /// A grid of orders of a torque that is periodic in the motor angle.
 struct Orders {
@@ -338,13 +336,40 @@ void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
 
 }  // namespace
 
+double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
+  const ExtendedParameters& model = hypothesis.estimate.parameters;
+  const ExtendedBrake brake(model);
+  std::vector<Eigen::Index> places;
+  std::vector<double> distances;
+  for (std::size_t i = 0; i < brake.places().size(); ++i) {
+    const ExtendedBrake::Place& place = brake.places()[i];
+    if (place.effect != static_cast<int>(effect)) continue;
+    const EffectParameter& parameter = parameter_at(model, place);
+    if (parameter.role != EffectParameter::Role::Strength) continue;
+    places.push_back(static_cast<Eigen::Index>(i));
+    distances.push_back(value_at(model, place) - parameter.neutral);
+  }
+  const Eigen::MatrixXd& covariance = hypothesis.estimate.covariance;
+  if (places.empty() || covariance.rows() <= places.back()) return std::numeric_limits<double>::infinity();
+  const Eigen::MatrixXd known = covariance(places, places);
+  const Eigen::VectorXd distance =
+      Eigen::Map<const Eigen::VectorXd>(distances.data(), static_cast<Eigen::Index>(distances.size()));
+  const double nats = 0.5 * distance.dot(known.ldlt().solve(distance));
+  return std::isfinite(nats) ? nats : std::numeric_limits<double>::infinity();
+}
+
+void weigh(Candidate& candidate, const Hypothesis& hypothesis) {
+  candidate.gain = std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood());
+  candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
+}
+
 Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<const Run> recorded) {
   const EffectInfo& info = info_of(effect);
   Candidate candidate;
   candidate.effect = &effect;
   candidate.degrees = degrees_of(effect, hypothesis.runs.size());
   candidate.alternatives = choices_of(effect);
-  if (info.name == "cogging") {
+  if (is_scanned(effect)) {
     add_peaks(hypothesis, candidate);
   } else {
     for (const std::vector<double>& values : combinations(effect, recorded)) {
@@ -388,7 +413,7 @@ bool is_torque_impossible(const Hypothesis& hypothesis) {
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   candidate.is_fitted = true;
   const double noise = hypothesis.estimate.noise.torque_Nm;
-  Hypothesis best;
+  Hypothesis best = candidate.fitted;
   std::size_t fits = 0;
   const auto gain = [&] {
     return best.possible() ? best.log_likelihood() - hypothesis.log_likelihood()
@@ -401,6 +426,7 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   for (const Start& start : candidate.starts) {
     if (fits > 0 && (fits >= kMostFits || start.predicted_gain < kWorthAFit * candidate.predicted_gain))
       break;
+    if (is_scanned(*candidate.effect) && gain() > start.predicted_gain) break;
     const bool other_shape = info_of(*candidate.effect).parameters.size() > 1;
     if (fits > 0 && !other_shape && gain() > kStuck * candidate.predicted_gain) break;
     attempt(start, noise);
@@ -447,12 +473,13 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
 
-void fit_from(const Hypothesis& elsewhere, const Hypothesis& hypothesis, Candidate& candidate) {
-  if (!candidate.fitted.possible()) return;
-  Hypothesis other = fitted_from({.values = candidate.fitted.estimate.parameters.effects.back()}, elsewhere,
-                                 elsewhere.estimate.noise.torque_Nm, kRoughIterations);
-  keep_if_better(std::move(other), candidate.fitted);
-  weigh(candidate, hypothesis);
+void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hypothesis& hypothesis,
+              Candidate& candidate) {
+  candidate.is_fitted = true;
+  keep_if_better(
+      fitted_from({.values = values}, elsewhere, elsewhere.estimate.noise.torque_Nm, kRoughIterations),
+      candidate.fitted);
+  if (candidate.fitted.possible()) weigh(candidate, hypothesis);
 }
 
 void finish(Candidate& candidate, const Hypothesis& hypothesis) {
@@ -481,7 +508,11 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
     if (!beside.starts.empty() && beside.starts.front().predicted_gain > kStandsOut * candidate.gain) {
       const Hypothesis both = fitted_from(beside.starts.front(), candidate.fitted,
                                           candidate.fitted.estimate.noise.torque_Nm, kRoughIterations);
-      if (both.possible())
+      const std::size_t first = candidate.fitted.estimate.parameters.effects.size() - 1;
+      const bool is_first_needed =
+          both.estimate.covariance.allFinite() &&
+          known_strength(both, first) > both.log_likelihood() - candidate.fitted.log_likelihood();
+      if (both.possible() && !is_first_needed)
         keep_if_better(fitted_from({.values = both.estimate.parameters.effects.back()}, hypothesis,
                                    kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
                        candidate.fitted);

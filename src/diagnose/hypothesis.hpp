@@ -57,12 +57,21 @@ struct Candidate {
 /// Everything about how promising an effect is beside a hypothesis, without fitting it.
 Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<const Run> recorded);
 
-/// Fits it roughly; several starts where the first does not bring what it promised.
+/// Fits it roughly, if it is fitted already as far as that may be better; several starts where the first does
+/// not bring what it promised.
 /// `also_afresh`: from the nominal brake as well.
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh);
 
-/// Once more, beside another fit of the same hypothesis.
-void fit_from(const Hypothesis& elsewhere, const Hypothesis& hypothesis, Candidate& candidate);
+/// Once more, from these values beside another fit of the same hypothesis.
+void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hypothesis& hypothesis,
+              Candidate& candidate);
+
+/// Gain and evidence of a candidate that is fitted, beside this fit of the hypothesis.
+void weigh(Candidate& candidate, const Hypothesis& hypothesis);
+
+/// Nats that taking its strengths back to neutral would cost, by how well they are known: what the fit's
+/// curvature says of an effect, however its likelihood came about. Infinite for one without strengths.
+double known_strength(const Hypothesis& hypothesis, std::size_t effect);
 
 /// Whether its own parameters have not found their best, as where an effect leads them far away.
 bool is_stuck(const Hypothesis& hypothesis);

@@ -2,10 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include <fmt/format.h>
-#include <Eigen/Cholesky>
 
 #include "clampd/base/parallel.hpp"
 #include "src/diagnose/evidence.hpp"
@@ -25,8 +23,8 @@ constexpr double kBelowAlarm = 3.5;
 constexpr double kLeastPromised = 0.25;
 /// An effect that is there is known to be there, by this share of an alarm's evidence.
 constexpr double kKnown = 0.5;
-/// Two fits of one model are the same within these.
-constexpr double kSame_nats = 2.0;
+/// Two fits of one model that differ by no more have found the same place.
+constexpr double kSame_nats = 5.0;
 /// Relative error of a harmonic's order.
 constexpr double kHarmonic = 0.03;
 /// Of what the best one gained: enough to be worth a fit from elsewhere.
@@ -46,6 +44,11 @@ constexpr std::size_t kFewestToSimplify = 3;
 
 double rank(const Candidate& candidate) {
   return candidate.is_fitted && candidate.fitted.possible() ? candidate.evidence : -1e9;
+}
+
+void best_first(std::vector<Candidate>& candidates) {
+  std::stable_sort(candidates.begin(), candidates.end(),
+                   [](const Candidate& a, const Candidate& b) { return rank(a) > rank(b); });
 }
 
 bool has(const Hypothesis& hypothesis, const Effect& effect) {
@@ -78,15 +81,20 @@ bool is_harmonic(const Candidate& candidate, const Hypothesis& hypothesis) {
   return false;
 }
 
+/// An effect that was in a model, and the others as they were beside it: without it they bend around it.
+struct TakenOut {
+  EffectValues values;
+  Hypothesis others;
+};
+
 class Selector {
  public:
   Selector(std::span<const Run> runs, const SelectionOptions& options)
       : runs_(runs), options_(options), alarm_(alarm_level(options.false_alarm)) {}
 
   /// All candidates beside a hypothesis, the promising ones fitted, best first. One that gains less than
-  /// `material` does not matter. `elsewhere`: the same model at another place, from where good ones are
-  /// fitted as well.
-  std::vector<Candidate> judge(const Hypothesis& hypothesis, const Hypothesis* elsewhere, double material,
+  /// `material` does not matter.
+  std::vector<Candidate> judge(const Hypothesis& hypothesis, const TakenOut* taken_out, double material,
                                double from, double to, const std::string& words) {
     const std::size_t others = hypothesis.estimate.parameters.effects.size();
     const std::size_t most_fits = others == 0 ? kMostFits : kMostLaterFits;
@@ -112,24 +120,45 @@ class Selector {
           candidates[i].predicted_gain >= kLeastPromised * material)
         worth.push_back(i);
     const bool stuck = !worth.empty() && is_stuck(hypothesis);
-    for_each_index(worth.size(), hypothesis.threads,
-                   [&](std::size_t i) { fit(candidates[worth[i]], hypothesis, stuck); });
+    const auto is_itself = [&](const Candidate& candidate) {
+      return taken_out != nullptr && candidate.effect == taken_out->values.effect;
+    };
+    for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
+      Candidate& candidate = candidates[worth[i]];
+      if (is_itself(candidate))
+        fit_from(taken_out->values, taken_out->others, hypothesis, candidate);
+      else
+        fit(candidate, hypothesis, stuck);
+    });
     const auto most = [&] {
       double reached = 0.0;
       for (const Candidate& candidate : candidates)
         if (candidate.is_fitted) reached = std::max(reached, candidate.gain);
       return reached;
     };
-    if (elsewhere != nullptr) {
+    if (taken_out != nullptr) {
       const double fair = kFair * most();
       for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
-        if (candidates[worth[i]].gain > fair) fit_from(*elsewhere, hypothesis, candidates[worth[i]]);
+        Candidate& candidate = candidates[worth[i]];
+        if (!is_itself(candidate) && candidate.fitted.possible() && candidate.gain > fair)
+          fit_from(candidate.fitted.estimate.parameters.effects.back(), taken_out->others, hypothesis,
+                   candidate);
       });
+    }
+    // It was fitted to the end before it was taken out; where others do as well it may have a better form.
+    bool settled = false;
+    for (Candidate& candidate : candidates) {
+      if (!is_itself(candidate) || !candidate.is_fitted) continue;
+      settled = std::none_of(candidates.begin(), candidates.end(), [&](const Candidate& other) {
+        return !is_itself(other) && other.is_fitted && other.gain > candidate.gain - kClearly;
+      });
+      if (!settled) fit(candidate, hypothesis, stuck);
     }
     const double reached = most();
     std::vector<std::size_t> leading;
     for (std::size_t i = 0; i < candidates.size(); ++i)
-      if (candidates[i].is_fitted && candidates[i].evidence > kNearAlarm * alarm(others) &&
+      if (candidates[i].is_fitted && !(settled && is_itself(candidates[i])) &&
+          candidates[i].evidence > kNearAlarm * alarm(others) &&
           candidates[i].gain > std::min(kLeading * reached, reached - kFarBehind_nats))
         leading.push_back(i);
     for_each_index(leading.size(), hypothesis.threads,
@@ -138,8 +167,7 @@ class Selector {
       if (candidate.is_fitted && has(hypothesis, *candidate.effect) && !is_harmonic(candidate, hypothesis))
         candidate.fitted.estimate.possible = false;
     report(to, words);
-    std::stable_sort(candidates.begin(), candidates.end(),
-                     [](const Candidate& a, const Candidate& b) { return rank(a) > rank(b); });
+    best_first(candidates);
     return candidates;
   }
 
@@ -180,30 +208,6 @@ double alternatives_of(std::string_view name, const Selection& selection) {
     for (const Candidate& candidate : stage)
       if (candidate.name() == name) return candidate.alternatives;
   return 1.0;
-}
-
-/// Nats that taking its strengths back to neutral would cost, by how well they are known: what the fit's
-/// curvature says of an effect, however its likelihood came about. Infinite for one without strengths.
-double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
-  const ExtendedParameters& model = hypothesis.estimate.parameters;
-  const ExtendedBrake brake(model);
-  std::vector<Eigen::Index> places;
-  std::vector<double> distances;
-  for (std::size_t i = 0; i < brake.places().size(); ++i) {
-    const ExtendedBrake::Place& place = brake.places()[i];
-    if (place.effect != static_cast<int>(effect)) continue;
-    const EffectParameter& parameter = parameter_at(model, place);
-    if (parameter.role != EffectParameter::Role::Strength) continue;
-    places.push_back(static_cast<Eigen::Index>(i));
-    distances.push_back(value_at(model, place) - parameter.neutral);
-  }
-  const Eigen::MatrixXd& covariance = hypothesis.estimate.covariance;
-  if (places.empty() || covariance.rows() <= places.back()) return std::numeric_limits<double>::infinity();
-  const Eigen::MatrixXd known = covariance(places, places);
-  const Eigen::VectorXd distance =
-      Eigen::Map<const Eigen::VectorXd>(distances.data(), static_cast<Eigen::Index>(distances.size()));
-  const double nats = 0.5 * distance.dot(known.ldlt().solve(distance));
-  return std::isfinite(nats) ? nats : std::numeric_limits<double>::infinity();
 }
 
 /// With a rival in an effect's place another one may be superfluous: takes the first model of one effect less
@@ -285,7 +289,7 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
     if (as_before) {
       const Hypothesis& before = selection.stages[e - 1].front().fitted;
       as_before = !reduced.possible() || reduced.log_likelihood() < before.log_likelihood() + kSame_nats;
-      if (as_before) reduced = before;
+      if (!reduced.possible() || before.log_likelihood() > reduced.log_likelihood()) reduced = before;
     }
     // A fit that got lost says nothing against the effect.
     if (!reduced.possible() || reduced.log_likelihood() < selection.base.log_likelihood()) {
@@ -308,13 +312,14 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
     std::vector<Candidate> candidates;
     if (as_before) {
       candidates = selection.stages[e];
+      for (Candidate& candidate : candidates)
+        if (candidate.is_fitted && candidate.fitted.possible()) weigh(candidate, reduced);
+      best_first(candidates);
     } else {
-      // Fitted without an effect, the others bend around it: what takes its place is also fitted beside the
-      // others as they were.
-      Hypothesis unbent = reduced;
-      unbent.estimate = without_effect(selection.chosen.estimate, e);
-      candidates =
-          selector.judge(reduced, &unbent, 0.0, selection.share, next, fmt::format("is {} needed?", name));
+      TakenOut taken_out{selection.chosen.estimate.parameters.effects[e], reduced};
+      taken_out.others.estimate = without_effect(selection.chosen.estimate, e);
+      candidates = selector.judge(reduced, &taken_out, 0.0, selection.share, next,
+                                  fmt::format("is {} needed?", name));
     }
     selection.share = next;
     const auto itself = std::find_if(candidates.begin(), candidates.end(),
