@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <initializer_list>
 #include <limits>
 #include <numbers>
@@ -10,6 +11,7 @@
 #include <Eigen/LU>
 #include <boost/math/special_functions/sinc.hpp>
 
+#include "clampd/base/parallel.hpp"
 #include "src/diagnose/evidence.hpp"
 
 namespace clampd::diagnosing {
@@ -334,6 +336,84 @@ void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
   candidate.alternatives = 0.5 * static_cast<double>(all.count);
 }
 
+/// One set of values of a candidate, and what a step from there promises.
+struct Look {
+  std::size_t candidate;
+  EffectValues values;
+  StepForecast seen;
+};
+
+/// Whether an effect with these values is there in name only.
+bool is_neutral(const EffectValues& values) {
+  const auto& parameters = info_of(*values.effect).parameters;
+  bool has_strength = false;
+  for (std::size_t i = 0; i < parameters.size(); ++i) {
+    if (parameters[i].role != Role::Strength) continue;
+    if (values.values[i] != parameters[i].neutral) return false;
+    has_strength = true;
+  }
+  return has_strength;
+}
+
+/// Those that one linearisation can tell of.
+std::vector<std::vector<Look*>> looks_together(const Hypothesis& hypothesis, std::vector<Look>& looks) {
+  std::vector<std::vector<Look*>> batches;
+  std::vector<Look*> batch;
+  std::vector<EffectValues> effects;
+  const auto close = [&] {
+    if (!batch.empty()) batches.push_back(std::move(batch));
+    batch.clear();
+    effects.clear();
+  };
+  for (Look& look : looks) {
+    if (!is_neutral(look.values) || info_of(*look.values.effect).free_states > 0) {
+      batches.push_back({&look});
+      continue;
+    }
+    effects.push_back(look.values);
+    if (!batch.empty() && !room_for(hypothesis, effects)) {
+      close();
+      effects.push_back(look.values);
+    }
+    batch.push_back(&look);
+  }
+  close();
+  return batches;
+}
+
+void take(const Hypothesis& hypothesis, const std::vector<Look*>& batch) {
+  if (batch.size() == 1) {
+    Look& look = *batch.front();
+    look.seen =
+        forecast(hypothesis.runs, with_effect(hypothesis.estimate, look.values), hypothesis.threads);
+    return;
+  }
+  std::vector<EffectValues> effects;
+  for (const Look* look : batch) effects.push_back(look->values);
+  std::vector<StepForecast> seen =
+      forecast_each(hypothesis.runs, hypothesis.estimate, effects, hypothesis.threads);
+  for (std::size_t i = 0; i < batch.size(); ++i) batch[i]->seen = std::move(seen[i]);
+}
+
+/// The start that a look shows, and how well its strengths can be seen.
+void add_start(const Hypothesis& hypothesis, const Look& look, Candidate& candidate) {
+  if (look.seen.step.size() == 0) return;
+  const auto& parameters = info_of(*candidate.effect).parameters;
+  candidate.starts.push_back(
+      start_from(*candidate.effect, look.values.values, hypothesis, look.seen));
+  if (!is_neutral(look.values)) return;
+  // Strengths come last or before shapes; the best known one counts.
+  Eigen::Index at = look.seen.sd.size();
+  double blindness = 0.0;
+  for (std::size_t i = parameters.size(); i-- > 0;) {
+    if (!is_estimated(parameters[i])) continue;
+    --at;
+    if (parameters[i].role == Role::Strength)
+      blindness = std::max(blindness, look.seen.sd[at] / parameters[i].scale);
+  }
+  candidate.blindness = candidate.blindness > 0.0 ? std::min(candidate.blindness, blindness) : blindness;
+}
+
 }  // namespace
 
 double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
@@ -363,42 +443,54 @@ void weigh(Candidate& candidate, const Hypothesis& hypothesis) {
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
 
-Candidate look_at(const Effect& effect, const Hypothesis& hypothesis, std::span<const Run> recorded) {
-  const EffectInfo& info = info_of(effect);
-  Candidate candidate;
-  candidate.effect = &effect;
-  candidate.degrees = degrees_of(effect, hypothesis.runs.size());
-  candidate.alternatives = choices_of(effect);
-  if (is_scanned(effect)) {
-    add_peaks(hypothesis, candidate);
-  } else {
-    for (const std::vector<double>& values : combinations(effect, recorded)) {
-      const ExtendedEstimate extended = with_effect(hypothesis.estimate, {&effect, values});
-      const StepForecast seen = forecast(hypothesis.runs, extended, hypothesis.threads);
-      if (seen.step.size() == 0) continue;
-      candidate.starts.push_back(start_from(effect, values, hypothesis, seen));
-      // Strengths come last or before shapes; the best known one counts.
-      Eigen::Index at = seen.sd.size();
-      double blindness = 0.0;
-      bool is_neutral = true;
-      for (std::size_t i = info.parameters.size(); i-- > 0;) {
-        if (!is_estimated(info.parameters[i])) continue;
-        --at;
-        if (info.parameters[i].role != Role::Strength) continue;
-        blindness = std::max(blindness, seen.sd[at] / info.parameters[i].scale);
-        is_neutral = is_neutral && values[i] == info.parameters[i].neutral;
-      }
-      if (is_neutral)
-        candidate.blindness =
-            candidate.starts.size() == 1 ? blindness : std::min(candidate.blindness, blindness);
+bool room_for(const Hypothesis& hypothesis, std::span<const EffectValues> further) {
+  int states = 2;
+  std::size_t parameters = kParameterCount;
+  const auto add = [&](const EffectValues& values) {
+    states += info_of(*values.effect).states;
+    parameters += values.values.size();
+  };
+  std::for_each(hypothesis.estimate.parameters.effects.begin(), hypothesis.estimate.parameters.effects.end(),
+                add);
+  std::for_each(further.begin(), further.end(), add);
+  return states <= ExtendedBrake::kMostStates &&
+         parameters <= static_cast<std::size_t>(ExtendedBrake::kMostParameters);
+}
+
+std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypothesis& hypothesis,
+                               std::span<const Run> recorded) {
+  std::vector<Candidate> candidates(tried.size());
+  std::vector<Look> looks;
+  std::vector<std::function<void()>> work;
+  for (std::size_t i = 0; i < tried.size(); ++i) {
+    Candidate& candidate = candidates[i];
+    const Effect& effect = *tried[i];
+    candidate.effect = &effect;
+    candidate.degrees = degrees_of(effect, hypothesis.runs.size());
+    candidate.alternatives = choices_of(effect);
+    if (info_of(effect).name == kSpikes) {
+      work.emplace_back([&] { candidate = look_for_outliers(hypothesis); });
+    } else if (is_scanned(effect)) {
+      work.emplace_back([&] { add_peaks(hypothesis, candidate); });
+    } else {
+      for (std::vector<double>& values : combinations(effect, recorded))
+        looks.push_back({i, {&effect, std::move(values)}, {}});
     }
+  }
+  const std::vector<std::vector<Look*>> together = looks_together(hypothesis, looks);
+  for (const std::vector<Look*>& batch : together)
+    work.emplace_back([&] { take(hypothesis, batch); });
+  for_each_index(work.size(), hypothesis.threads, [&](std::size_t i) { work[i](); });
+  for (const Look& look : looks) add_start(hypothesis, look, candidates[look.candidate]);
+  for (Candidate& candidate : candidates) {
+    if (candidate.is_fitted) continue;
     std::sort(candidate.starts.begin(), candidate.starts.end(),
               [](const Start& a, const Start& b) { return a.predicted_gain > b.predicted_gain; });
+    if (!candidate.starts.empty()) candidate.predicted_gain = candidate.starts.front().predicted_gain;
+    candidate.predicted_evidence =
+        evidence_of(candidate.predicted_gain, candidate.degrees, candidate.alternatives);
   }
-  if (!candidate.starts.empty()) candidate.predicted_gain = candidate.starts.front().predicted_gain;
-  candidate.predicted_evidence =
-      evidence_of(candidate.predicted_gain, candidate.degrees, candidate.alternatives);
-  return candidate;
+  return candidates;
 }
 
 bool is_stuck(const Hypothesis& hypothesis) {

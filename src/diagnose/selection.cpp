@@ -57,16 +57,9 @@ bool has(const Hypothesis& hypothesis, const Effect& effect) {
                      [&](const EffectValues& values) { return values.effect == &effect; });
 }
 
-bool room_for(const Hypothesis& hypothesis, const Effect& effect) {
-  const EffectInfo& info = info_of(effect);
-  int states = 2 + info.states;
-  std::size_t parameters = kParameterCount + info.parameters.size();
-  for (const EffectValues& values : hypothesis.estimate.parameters.effects) {
-    states += info_of(*values.effect).states;
-    parameters += values.values.size();
-  }
-  return states <= ExtendedBrake::kMostStates &&
-         parameters <= static_cast<std::size_t>(ExtendedBrake::kMostParameters);
+bool can_be_added(const Hypothesis& hypothesis, const Effect& effect) {
+  const EffectValues values{&effect, std::vector<double>(info_of(effect).parameters.size())};
+  return room_for(hypothesis, {&values, 1});
 }
 
 /// Whether a further effect of the same name is a harmonic of one that is there.
@@ -100,13 +93,9 @@ class Selector {
     const std::size_t most_fits = others == 0 ? kMostFits : kMostLaterFits;
     std::vector<const Effect*> tried;
     for (const Effect* effect : effects())
-      if ((!has(hypothesis, *effect) || info_of(*effect).repeatable) && room_for(hypothesis, *effect))
+      if ((!has(hypothesis, *effect) || info_of(*effect).repeatable) && can_be_added(hypothesis, *effect))
         tried.push_back(effect);
-    std::vector<Candidate> candidates(tried.size());
-    for_each_index(tried.size(), hypothesis.threads, [&](std::size_t i) {
-      candidates[i] = info_of(*tried[i]).name == kSpikes ? look_for_outliers(hypothesis)
-                                                         : look_at(*tried[i], hypothesis, runs_);
-    });
+    std::vector<Candidate> candidates = look_at(tried, hypothesis, runs_);
     report(from + 0.4 * (to - from), words);
     const auto by_promise = [](const Candidate& a, const Candidate& b) {
       return a.predicted_evidence > b.predicted_evidence;

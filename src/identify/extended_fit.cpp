@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
+#include <numeric>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -30,6 +31,9 @@ constexpr int kNoiseIterations = 6;
 
 /// Below this much torque noise (N m) nothing changes any more.
 constexpr double kSmallestTorque_Nm = 2e-5;
+
+/// No step takes a positive parameter further than to its double or half.
+double limited(double logarithmic_step) { return std::clamp(logarithmic_step, -0.7, 0.7); }
 
 /// The innovations of all runs as a function of the unknowns, for ceres::TinySolver, with gains that stay as
 /// they are; as JointFit, but for any model. Unknowns: parameters, then each run's locals.
@@ -178,7 +182,7 @@ class ExtendedFit {
     Eigen::VectorXd move = -solve(all.information, all.gradient);
     step.resize(NumParameters());
     for (int i = 0; i < parameters_; ++i)
-      step[i] = unknowns_.is_logarithmic(i) ? std::clamp(move[i], -0.7, 0.7) : move[i];
+      step[i] = unknowns_.is_logarithmic(i) ? limited(move[i]) : move[i];
     for (std::size_t r = 0; r < runs_.size(); ++r) {
       const Eigen::MatrixXd& normal = now_.normals[r];
       step.segment(local(r), locals_) =
@@ -223,6 +227,15 @@ class ExtendedFit {
     }
     invalidate();
     return variances;
+  }
+
+  /// Directions that the data do not show at all are left alone.
+  static Eigen::VectorXd solve(const Eigen::MatrixXd& information, const Eigen::VectorXd& gradient) {
+    if (gradient.size() == 0) return gradient;
+    const Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
+    Eigen::MatrixXd scaled = information.cwiseQuotient(scale * scale.transpose());
+    scaled.diagonal().array() += 1e-10;
+    return scaled.ldlt().solve(gradient.cwiseQuotient(scale)).cwiseQuotient(scale);
   }
 
   std::span<const ExtendedRun> linear_runs() const { return now_.runs; }
@@ -293,15 +306,6 @@ class ExtendedFit {
     return matrix.ldlt().vectorD().array().max(1e-300).log().sum();
   }
 
-  /// Directions that the data do not show at all are left alone.
-  static Eigen::VectorXd solve(const Eigen::MatrixXd& information, const Eigen::VectorXd& gradient) {
-    if (gradient.size() == 0) return gradient;
-    const Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
-    Eigen::MatrixXd scaled = information.cwiseQuotient(scale * scale.transpose());
-    scaled.diagonal().array() += 1e-10;
-    return scaled.ldlt().solve(gradient.cwiseQuotient(scale)).cwiseQuotient(scale);
-  }
-
   std::span<const FitRun> runs_;
   SpareThreads threads_;
   ExtendedParameters model_;
@@ -334,24 +338,46 @@ Eigen::MatrixXd covariance_of(const ExtendedFit& fit, const ExtendedParameters& 
   return covariance;
 }
 
-/// Also where the information is singular: what it does not tell has an infinite deviation.
-Eigen::VectorXd deviations_of(const ExtendedFit& fit, const ExtendedParameters& model) {
-  const Eigen::MatrixXd information = fit.joint().information;
+/// Of unknowns; also where the information is singular: what it does not tell has an infinite deviation.
+Eigen::VectorXd deviations_of(const Eigen::MatrixXd& information) {
   const Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(
       information.cwiseQuotient(scale * scale.transpose()));
-  Eigen::VectorXd deviations = Eigen::VectorXd::Zero(fit.all_parameters());
-  for (int i = 0; i < fit.parameters(); ++i) {
+  Eigen::VectorXd deviations(information.rows());
+  for (Eigen::Index i = 0; i < information.rows(); ++i) {
     double variance = 0.0;
     for (Eigen::Index j = 0; j < solver.eigenvalues().size(); ++j) {
       const double share = solver.eigenvectors()(i, j) * solver.eigenvectors()(i, j);
       if (share > 1e-12) variance += share / std::max(solver.eigenvalues()[j], 1e-14);
     }
-    deviations[fit.unknowns().parameter(i)] =
-        information(i, i) > 0.0 ? std::sqrt(variance) / scale[i] * std::abs(fit.unknowns().slope(model, i))
-                                : std::numeric_limits<double>::infinity();
+    deviations[i] = information(i, i) > 0.0 ? std::sqrt(variance) / scale[i]
+                                            : std::numeric_limits<double>::infinity();
   }
   return deviations;
+}
+
+StepForecast nothing_foreseen() {
+  constexpr double kNever = -std::numeric_limits<double>::infinity();
+  return {kNever, kNever, {}, {}};
+}
+
+/// A step of these parameters of a fit that was just renewed, the others staying.
+StepForecast forecast_of(const ExtendedFit& fit, const ExtendedParameters& model, const Reduced& joint,
+                         const std::vector<Eigen::Index>& which) {
+  const Eigen::MatrixXd information = joint.information(which, which);
+  const Eigen::VectorXd gradient = joint.gradient(which);
+  const Eigen::VectorXd move = -ExtendedFit::solve(information, gradient);
+  StepForecast result{fit.log_likelihood(), 0.0, move, deviations_of(information)};
+  result.after_step = result.log_likelihood + 0.5 * (fit.squares() - joint.squares - gradient.dot(move));
+  for (std::size_t i = 0; i < which.size(); ++i) {
+    const int unknown = static_cast<int>(which[i]);
+    const auto at = static_cast<Eigen::Index>(i);
+    const double slope = fit.unknowns().slope(model, unknown);
+    if (fit.unknowns().is_logarithmic(unknown)) result.step[at] = limited(move[at]);
+    result.step[at] *= slope;
+    result.sd[at] *= std::abs(slope);
+  }
+  return result;
 }
 
 }  // namespace
@@ -524,21 +550,35 @@ ExtendedEstimate without_effect(const ExtendedEstimate& estimate, std::size_t in
 
 StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
                       const SpareThreads& threads) {
-  StepForecast result{
-      -std::numeric_limits<double>::infinity(), -std::numeric_limits<double>::infinity(), {}, {}};
-  if (!within_bounds(estimate.parameters)) return result;
+  if (!within_bounds(estimate.parameters)) return nothing_foreseen();
   ExtendedFit fit(runs, estimate, {}, threads);
-  const Eigen::VectorXd point = fit.start();
-  if (!fit.renew(point, variances_of(estimate.noise))) return result;
-  result.log_likelihood = fit.log_likelihood();
-  result.after_step = result.log_likelihood + 0.5 * fit.expected_decrease();
-  Eigen::VectorXd step;
-  fit.gauss_newton_step(step);
-  result.step.setZero(fit.all_parameters());
-  result.sd = deviations_of(fit, estimate.parameters);
-  for (int i = 0; i < fit.parameters(); ++i)
-    result.step[fit.unknowns().parameter(i)] = step[i] * fit.unknowns().slope(estimate.parameters, i);
-  return result;
+  if (!fit.renew(fit.start(), variances_of(estimate.noise))) return nothing_foreseen();
+  std::vector<Eigen::Index> all(static_cast<std::size_t>(fit.parameters()));
+  std::iota(all.begin(), all.end(), 0);
+  return forecast_of(fit, estimate.parameters, fit.joint(), all);
+}
+
+std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                                        std::span<const EffectValues> effects, const SpareThreads& threads) {
+  std::vector<StepForecast> forecasts(effects.size(), nothing_foreseen());
+  ExtendedEstimate extended = estimate;
+  for (const EffectValues& effect : effects) extended = with_effect(extended, effect);
+  if (!within_bounds(extended.parameters)) return forecasts;
+  ExtendedFit fit(runs, extended, {}, threads);
+  if (!fit.renew(fit.start(), variances_of(estimate.noise))) return forecasts;
+  const Reduced joint = fit.joint();
+  const ExtendedBrake brake(extended.parameters);
+  const auto present = static_cast<int>(estimate.parameters.effects.size());
+  for (std::size_t e = 0; e < effects.size(); ++e) {
+    std::vector<Eigen::Index> which;
+    for (std::size_t i = 0; i < brake.places().size(); ++i) {
+      const int effect = brake.places()[i].effect;
+      if (effect < present || effect == present + static_cast<int>(e))
+        which.push_back(static_cast<Eigen::Index>(i));
+    }
+    forecasts[e] = forecast_of(fit, extended.parameters, joint, which);
+  }
+  return forecasts;
 }
 
 std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate) {

@@ -84,6 +84,12 @@ struct StepForecast {
 StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
                       const SpareThreads& threads = {});
 
+/// That of with_effect(estimate, effect) for each of several effects, all from one linearisation: at values
+/// that change nothing, the brake's motion or another effect, and without free states.
+std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                                        std::span<const EffectValues> effects,
+                                        const SpareThreads& threads = {});
+
 /// Runs filtered at an estimate. Innovations over their standard deviations: 1 and white if the model is
 /// right.
 struct FilteredRun {
