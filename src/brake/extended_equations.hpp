@@ -19,6 +19,7 @@ template <class T>
 class ExtendedEquations {
  public:
   static constexpr int kMostOwn = 32;
+  using Stage = effects_detail::Stage;
 
   explicit ExtendedEquations(const ExtendedParameters& parameters) : fixed_(parameters.base.fixed) {
     for (std::size_t i = 0; i < kParameterCount; ++i)
@@ -31,7 +32,8 @@ class ExtendedEquations {
       is_stiff_ = is_stiff_ || values.effect->is_stiff();
     }
     for (const std::size_t part : effects_detail::chain_of(parameters.effects))
-      chain_.push_back(parts_[part]);
+      for (std::size_t stage = 0; stage < effects_detail::kStages; ++stage)
+        if (parts_[part].effect->acts_on(static_cast<Stage>(stage))) chains_[stage].push_back(parts_[part]);
   }
 
   T& number(const ExtendedBrake::Place& place) {
@@ -45,13 +47,14 @@ class ExtendedEquations {
     std::fill(states + 2, states + states_, T(0.0));
     effects_detail::Instant<T> now = start_of(first, effects_detail::value_of(velocity) < 0.0 ? -1.0 : 1.0);
     complete(now, position, velocity, T(0.0), T(0.0), T(first.torque_Nm), states);
-    each(states,
+    each(parts_, states,
          [&](const auto& effect, const auto& own, int at) { effect.on_settle(now, own, states + at); });
   }
 
   effects_detail::Readout<T> read(const T* states, const RowInput& row) const {
     effects_detail::Readout<T> readout{row.time_s, row.run, force_at(states, row), states[1]};
-    each(states, [&](const auto& effect, const auto& own, int) { effect.on_read(readout, own); });
+    each(chain(Stage::Read), states,
+         [&](const auto& effect, const auto& own, int) { effect.on_read(readout, own); });
     return readout;
   }
 
@@ -65,10 +68,12 @@ class ExtendedEquations {
     T next[ExtendedBrake::kMostStates];
     std::copy(states, states + ExtendedBrake::kMostStates, next);
     // A reading of torque is undone from its end.
-    for (auto part = chain_.rbegin(); part != chain_.rend(); ++part)
+    const std::vector<Part>& undone = chain(Stage::Torque);
+    for (auto part = undone.rbegin(); part != undone.rend(); ++part)
       static_cast<const effects_detail::Equations<T>&>(*part->effect)
           .on_torque(input, {own_ + part->own, states + part->state}, next + part->state);
-    if (!has_own_states()) {
+    if (chain(Stage::Filter).empty()) {
+      std::copy(next + 2, next + ExtendedBrake::kMostStates, states + 2);
       for (int i = 0; i < steps; ++i) step(states, input.torque_Nm, row, row.gap_s / steps, values);
       return;
     }
@@ -79,7 +84,7 @@ class ExtendedEquations {
     const effects_detail::Transit<T> transit{row.gap_s, force_before, force_at(states, row), velocity_before,
                                              states[1]};
     std::copy(states, states + ExtendedBrake::kMostStates, next);
-    each(states,
+    each(chain(Stage::Filter), states,
          [&](const auto& effect, const auto& own, int at) { effect.on_filter(transit, own, next + at); });
     std::copy(next, next + ExtendedBrake::kMostStates, states);
   }
@@ -164,9 +169,11 @@ class ExtendedEquations {
     return values;
   }
 
+  const std::vector<Part>& chain(Stage stage) const { return chains_[static_cast<std::size_t>(stage)]; }
+
   template <class Act>
-  void each(const T* states, const Act& act) const {
-    for (const Part& part : chain_)
+  void each(const std::vector<Part>& chain, const T* states, const Act& act) const {
+    for (const Part& part : chain)
       act(static_cast<const effects_detail::Equations<T>&>(*part.effect),
           effects_detail::Own<T>{own_ + part.own, states + part.state}, part.state);
   }
@@ -187,13 +194,15 @@ class ExtendedEquations {
     now.position = position;
     now.velocity = velocity;
     now.pad_position = position;
-    each(states, [&](const auto& effect, const auto& own, int) { effect.on_pad(now, own); });
+    each(chain(Stage::Pad), states,
+         [&](const auto& effect, const auto& own, int) { effect.on_pad(now, own); });
     if (now.pad_position > 0.0)
       now.elastic_N = now.pad_position * now.pad_position * (theta_[k1] * now.pad_position + theta_[k2]);
     else
       now.elastic_N = T(0.0);
     now.force_N = now.elastic_N;
-    each(states, [&](const auto& effect, const auto& own, int) { effect.on_force(now, own); });
+    each(chain(Stage::Force), states,
+         [&](const auto& effect, const auto& own, int) { effect.on_force(now, own); });
   }
 
   /// Everything.
@@ -205,13 +214,15 @@ class ExtendedEquations {
     now.viscous_Nm_s_rad = theta_[Tv];
     now.grip = T(now.direction);
     now.opposing_Nm = T(0.0);
-    each(states, [&](const auto& effect, const auto& own, int) { effect.on_friction(now, own); });
+    each(chain(Stage::Friction), states,
+         [&](const auto& effect, const auto& own, int) { effect.on_friction(now, own); });
     const T speed = velocity / theta_[ws];
     now.level_Nm = now.coulomb_Nm + (now.static_Nm - now.coulomb_Nm) / (1.0 + speed * speed);
     now.torque_Nm = torque;
     now.ratio_m_rad = T(fixed_.ratio_m_rad);
     now.inertia_kg_m2 = T(fixed_.inertia_kg_m2);
-    each(states, [&](const auto& effect, const auto& own, int) { effect.on_balance(now, own); });
+    each(chain(Stage::Balance), states,
+         [&](const auto& effect, const auto& own, int) { effect.on_balance(now, own); });
   }
 
   T net_torque(const effects_detail::Instant<T>& now) const {
@@ -249,7 +260,7 @@ class ExtendedEquations {
     complete(end, reached.position, reached.velocity, reached.position - states[0], elapsed, torque, states);
     T next[ExtendedBrake::kMostStates];
     std::copy(states, states + ExtendedBrake::kMostStates, next);
-    each(states,
+    each(chain(Stage::Remember), states,
          [&](const auto& effect, const auto& own, int at) { effect.on_remember(end, own, next + at); });
     std::copy(next + 2, next + ExtendedBrake::kMostStates, states + 2);
     states[0] = reached.position;
@@ -293,8 +304,8 @@ class ExtendedEquations {
 
   bool has_own_states() const { return states_ > 2; }  ///< to be remembered from row to row
 
-  std::vector<Part> parts_;  ///< as the model lists them
-  std::vector<Part> chain_;  ///< as they act one on another
+  std::vector<Part> parts_;                                        ///< as the model lists them
+  std::array<std::vector<Part>, effects_detail::kStages> chains_;  ///< as they act one on another
   FixedParameters fixed_;
   T theta_[kParameterCount];
   T own_[kMostOwn];

@@ -248,7 +248,9 @@ void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std:
 }
 
 /// Whether its starts are peaks of a scan, each of which promises about what it can bring.
-bool is_scanned(const Effect& effect) { return info_of(effect).name == "cogging"; }
+bool is_scanned(const Effect& effect) {
+  return info_of(effect).name == "cogging";
+}
 
 /// A grid of orders of a torque that is periodic in the motor angle.
 struct Orders {
@@ -384,8 +386,7 @@ std::vector<std::vector<Look*>> looks_together(const Hypothesis& hypothesis, std
 void take(const Hypothesis& hypothesis, const std::vector<Look*>& batch) {
   if (batch.size() == 1) {
     Look& look = *batch.front();
-    look.seen =
-        forecast(hypothesis.runs, with_effect(hypothesis.estimate, look.values), hypothesis.threads);
+    look.seen = forecast(hypothesis.runs, with_effect(hypothesis.estimate, look.values), hypothesis.threads);
     return;
   }
   std::vector<EffectValues> effects;
@@ -399,8 +400,7 @@ void take(const Hypothesis& hypothesis, const std::vector<Look*>& batch) {
 void add_start(const Hypothesis& hypothesis, const Look& look, Candidate& candidate) {
   if (look.seen.step.size() == 0) return;
   const auto& parameters = info_of(*candidate.effect).parameters;
-  candidate.starts.push_back(
-      start_from(*candidate.effect, look.values.values, hypothesis, look.seen));
+  candidate.starts.push_back(start_from(*candidate.effect, look.values.values, hypothesis, look.seen));
   if (!is_neutral(look.values)) return;
   // Strengths come last or before shapes; the best known one counts.
   Eigen::Index at = look.seen.sd.size();
@@ -478,8 +478,7 @@ std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypot
     }
   }
   const std::vector<std::vector<Look*>> together = looks_together(hypothesis, looks);
-  for (const std::vector<Look*>& batch : together)
-    work.emplace_back([&] { take(hypothesis, batch); });
+  for (const std::vector<Look*>& batch : together) work.emplace_back([&] { take(hypothesis, batch); });
   for_each_index(work.size(), hypothesis.threads, [&](std::size_t i) { work[i](); });
   for (const Look& look : looks) add_start(hypothesis, look, candidates[look.candidate]);
   for (Candidate& candidate : candidates) {

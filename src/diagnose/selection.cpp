@@ -307,8 +307,8 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
     } else {
       TakenOut taken_out{selection.chosen.estimate.parameters.effects[e], reduced};
       taken_out.others.estimate = without_effect(selection.chosen.estimate, e);
-      candidates = selector.judge(reduced, &taken_out, 0.0, selection.share, next,
-                                  fmt::format("is {} needed?", name));
+      candidates =
+          selector.judge(reduced, &taken_out, 0.0, selection.share, next, fmt::format("is {} needed?", name));
     }
     selection.share = next;
     const auto itself = std::find_if(candidates.begin(), candidates.end(),

@@ -33,7 +33,9 @@ constexpr int kNoiseIterations = 6;
 constexpr double kSmallestTorque_Nm = 2e-5;
 
 /// No step takes a positive parameter further than to its double or half.
-double limited(double logarithmic_step) { return std::clamp(logarithmic_step, -0.7, 0.7); }
+double limited(double logarithmic_step) {
+  return std::clamp(logarithmic_step, -0.7, 0.7);
+}
 
 /// The innovations of all runs as a function of the unknowns, for ceres::TinySolver, with gains that stay as
 /// they are; as JointFit, but for any model. Unknowns: parameters, then each run's locals.
@@ -181,8 +183,7 @@ class ExtendedFit {
     const Reduced all = joint();
     Eigen::VectorXd move = -solve(all.information, all.gradient);
     step.resize(NumParameters());
-    for (int i = 0; i < parameters_; ++i)
-      step[i] = unknowns_.is_logarithmic(i) ? limited(move[i]) : move[i];
+    for (int i = 0; i < parameters_; ++i) step[i] = unknowns_.is_logarithmic(i) ? limited(move[i]) : move[i];
     for (std::size_t r = 0; r < runs_.size(); ++r) {
       const Eigen::MatrixXd& normal = now_.normals[r];
       step.segment(local(r), locals_) =
@@ -350,8 +351,8 @@ Eigen::VectorXd deviations_of(const Eigen::MatrixXd& information) {
       const double share = solver.eigenvectors()(i, j) * solver.eigenvectors()(i, j);
       if (share > 1e-12) variance += share / std::max(solver.eigenvalues()[j], 1e-14);
     }
-    deviations[i] = information(i, i) > 0.0 ? std::sqrt(variance) / scale[i]
-                                            : std::numeric_limits<double>::infinity();
+    deviations[i] =
+        information(i, i) > 0.0 ? std::sqrt(variance) / scale[i] : std::numeric_limits<double>::infinity();
   }
   return deviations;
 }

@@ -108,6 +108,10 @@ struct Transit {
   T velocity_before_rad_s, velocity_after_rad_s;
 };
 
+/// Where an effect can act: the functions of Equations but the last.
+enum class Stage { Torque, Pad, Force, Friction, Balance, Remember, Read, Filter };
+inline constexpr std::size_t kStages = 8;
+
 template <class T>
 class Equations {
  public:
@@ -158,6 +162,8 @@ T turned_straight(const T& state, const T& travel, const T& reach) {
 class Effect : public effects_detail::Equations<double>, public effects_detail::Equations<Jet> {
  public:
   virtual const EffectInfo& info() const = 0;
+  /// Whether it does anything there.
+  virtual bool acts_on(effects_detail::Stage stage) const = 0;
   /// Whether substeps() may ask for more than one.
   virtual bool is_stiff() const { return false; }
   /// Of the next 1 ms, from how things are and what the brake's acceleration (rad/s^2) is.
@@ -207,6 +213,29 @@ class EquationsOf : public Effect {
   template <class T>
   void settle(const effects_detail::Instant<T>&, const Own<T>&, T*) const {}
 
+  bool acts_on(effects_detail::Stage stage) const final {
+    using effects_detail::Stage;
+    switch (stage) {
+      case Stage::Torque:
+        return is_own(&Derived::template torque<double>);
+      case Stage::Pad:
+        return is_own(&Derived::template pad<double>);
+      case Stage::Force:
+        return is_own(&Derived::template force<double>);
+      case Stage::Friction:
+        return is_own(&Derived::template friction<double>);
+      case Stage::Balance:
+        return is_own(&Derived::template balance<double>);
+      case Stage::Remember:
+        return is_own(&Derived::template remember<double>);
+      case Stage::Read:
+        return is_own(&Derived::template read<double>);
+      case Stage::Filter:
+        return is_own(&Derived::template filter<double>);
+    }
+    return true;
+  }
+
 #define CLAMPD_EQUATIONS(T)                                                                    \
   void on_torque(effects_detail::TorqueInput<T>& x, const Own<T>& own, T* s) const final {     \
     derived().torque(x, own, s);                                                               \
@@ -242,6 +271,10 @@ class EquationsOf : public Effect {
  private:
   const Derived& derived() const {
     return static_cast<const Derived&>(*this);
+  }
+  template <class Owner, class... Arguments>
+  static constexpr bool is_own(void (Owner::*)(Arguments...) const) {
+    return std::is_same_v<Owner, Derived>;
   }
 };
 

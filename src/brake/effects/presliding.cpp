@@ -127,8 +127,8 @@ class Presliding final : public EquationsOf<Presliding> {
   static bool has_one_stiffness(Law law) { return law == Law::LuGre || law == Law::ElastoPlastic; }
 
   /// Bristles that slide follow the level of friction, which falls with velocity, and their damping then acts
-  /// like an inertia. The scheme knows the acceleration in it a step late only: as large as that is beside the
-  /// brake's own inertia, as many steps.
+  /// like an inertia. The scheme knows the acceleration in it a step late only: as large as that is beside
+  /// the brake's own inertia, as many steps.
   static int substeps_sliding(const effects_detail::Own<double>& own,
                               const effects_detail::Instant<double>& now) {
     constexpr int kMost = 4;
@@ -168,26 +168,24 @@ class Presliding final : public EquationsOf<Presliding> {
                  ? T(from + (travel / rate - from) * (1.0 - exp(-rate)))
                  : T(from + travel - rate * from);
     };
-    if (built_up >= kSliding) return closed(built_up, reaches, growth);
-    T beyond = T(0.0), growth_beyond = T(0.0);
-    if (reaches > kFarthest) {
-      beyond = reaches - kFarthest;
-      growth_beyond = growth * (beyond / reaches);
-      growth -= growth_beyond;
-      reaches = T(kFarthest);
-    }
-    const int steps = 1 + static_cast<int>(effects_detail::value_of(reaches) / kLargest);
-    const T step = reaches / static_cast<double>(steps);
-    const T growing = growth / static_cast<double>(steps);
+    const bool is_far = reaches > kFarthest;
+    const T near = is_far ? T(kFarthest / reaches) : T(1.0);
+    const double distance = is_far ? kFarthest : std::max(0.0, effects_detail::value_of(reaches));
+    const int steps = 1 + static_cast<int>(distance / kLargest);
+    const T step = near * reaches / static_cast<double>(steps);
+    const T growing = near * growth / static_cast<double>(steps);
     const auto slope = [&](const T& at) { return T(step * (1.0 - sliding_share(at) * at) - growing * at); };
-    for (int i = 0; i < steps; ++i) {
+    int taken = 0;
+    for (; taken < steps && built_up < kSliding; ++taken) {
       const T first = slope(built_up);
       const T second = slope(built_up + 0.5 * first);
       const T third = slope(built_up + 0.5 * second);
       const T fourth = slope(built_up + third);
       built_up += (first + 2.0 * (second + third) + fourth) / 6.0;
     }
-    return beyond > 0.0 ? closed(built_up, beyond, growth_beyond) : built_up;
+    if (taken == steps && !is_far) return built_up;
+    const auto done = static_cast<double>(taken);
+    return closed(built_up, reaches - done * step, growth - done * growing);
   }
 
   /// How far the bristles are bent, over the deflection: a function of the travel.
