@@ -36,7 +36,7 @@ GainFigures judge(const Hypothesis& trained, Hypothesis held) {
   starts_only.threads = held.threads;
   held.estimate = fit_extended(held.runs, held.estimate, starts_only);
   GainFigures figures;
-  const std::vector<FilteredRun> filtered = filter_runs(held.runs, held.estimate);
+  const std::vector<FilteredRun> filtered = filter_runs(held.runs, held.estimate, held.threads);
   double force = 0.0, velocity = 0.0, forces = 0.0, velocities = 0.0, squares = 0.0, likelihood = 0.0;
   double simulated_force = 0.0, simulated_velocity = 0.0;
   for (std::size_t r = 0; r < filtered.size(); ++r) {
@@ -130,8 +130,8 @@ std::optional<HeldOutGain> held_out_gain(std::span<const Run> runs, std::span<co
 
 std::vector<RunView> views_of(std::span<const Run> runs, const Hypothesis& base, const Hypothesis& extended) {
   std::vector<RunView> views;
-  const std::vector<FilteredRun> before = filter_runs(base.runs, base.estimate);
-  const std::vector<FilteredRun> after = filter_runs(extended.runs, extended.estimate);
+  const std::vector<FilteredRun> before = filter_runs(base.runs, base.estimate, base.threads);
+  const std::vector<FilteredRun> after = filter_runs(extended.runs, extended.estimate, extended.threads);
   for (std::size_t r = 0; r < runs.size() && r < before.size() && r < after.size(); ++r) {
     RunView view;
     view.name = runs[r].name;

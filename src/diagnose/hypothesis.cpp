@@ -261,10 +261,12 @@ struct Orders {
 
 /// What each order promises.
 std::vector<Start> scan(const Orders& orders, const Effect& effect, const SignalScorer& scorer,
-                        std::span<const FilteredRun> filtered) {
+                        std::span<const FilteredRun> filtered, const SpareThreads& threads) {
   const EffectInfo& info = info_of(effect);
-  std::vector<Start> found;
-  for (Eigen::Index first = 0; first < orders.count; first += kScanTogether) {
+  std::vector<Start> found(static_cast<std::size_t>(orders.count));
+  const auto blocks = static_cast<std::size_t>((orders.count + kScanTogether - 1) / kScanTogether);
+  for_each_index(blocks, threads, [&](std::size_t block) {
+    const Eigen::Index first = static_cast<Eigen::Index>(block) * kScanTogether;
     const Eigen::Index count = std::min(kScanTogether, orders.count - first);
     SignalColumns signals{SignalColumns::Kind::Torque, {}};
     for (const FilteredRun& run : filtered) {
@@ -288,7 +290,8 @@ std::vector<Start> scan(const Orders& orders, const Effect& effect, const Signal
     for (Eigen::Index i = 0; i < count; ++i) {
       const Eigen::Matrix2d information = scores.information.block<2, 2>(2 * i, 2 * i);
       const Eigen::Vector2d score = scores.score.segment<2>(2 * i);
-      Start start{.values = {&effect, {0.0, 0.0, orders[first + i]}}};
+      Start& start = found[static_cast<std::size_t>(first + i)];
+      start.values = {&effect, {0.0, 0.0, orders[first + i]}};
       if (information.determinant() > 1e-9 * information.trace() * information.trace()) {
         const Eigen::Vector2d amplitude = information.ldlt().solve(score);
         start.predicted_gain = 0.5 * score.dot(amplitude);
@@ -296,9 +299,8 @@ std::vector<Start> scan(const Orders& orders, const Effect& effect, const Signal
           start.values.values[p] = std::clamp(amplitude[static_cast<Eigen::Index>(p)],
                                               0.9 * info.parameters[p].lower, 0.9 * info.parameters[p].upper);
       }
-      found.push_back(std::move(start));
     }
-  }
+  });
   return found;
 }
 
@@ -306,16 +308,17 @@ std::vector<Start> scan(const Orders& orders, const Effect& effect, const Signal
 /// make peaks beside the true one, too close for the scan, that a fit does not leave: the best are looked at
 /// closely.
 void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
-  const std::vector<FilteredRun> filtered = filter_runs(hypothesis.runs, hypothesis.estimate);
+  const std::vector<FilteredRun> filtered =
+      filter_runs(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
   if (filtered.empty()) return;
-  const SignalScorer scorer(hypothesis.runs, hypothesis.estimate);
+  const SignalScorer scorer(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
   const Orders all{kScanFirst, kScanStep,
                    static_cast<Eigen::Index>((kScanLast - kScanFirst) / kScanStep) + 1};
   const auto promises_more = [](const Start& a, const Start& b) {
     return a.predicted_gain > b.predicted_gain;
   };
   const auto order = [](const Start& start) { return start.values.values[2]; };
-  std::vector<Start> rough = scan(all, *candidate.effect, scorer, filtered);
+  std::vector<Start> rough = scan(all, *candidate.effect, scorer, filtered, hypothesis.threads);
   std::sort(rough.begin(), rough.end(), promises_more);
   std::vector<double> centres;
   for (const Start& start : rough) {
@@ -327,7 +330,7 @@ void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
     const double first = std::max(kScanFirst, order(start) - kNeighbourhood);
     const std::vector<Start> fine =
         scan({first, kFineStep, static_cast<Eigen::Index>(2.0 * kNeighbourhood / kFineStep) + 1},
-             *candidate.effect, scorer, filtered);
+             *candidate.effect, scorer, filtered, hypothesis.threads);
     for (std::size_t i = 1; i + 1 < fine.size(); ++i)
       if (promises_more(fine[i], fine[i - 1]) && !promises_more(fine[i + 1], fine[i]))
         candidate.starts.push_back(fine[i]);

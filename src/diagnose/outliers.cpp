@@ -25,7 +25,7 @@ class SpikeSearch {
 
   bool run() {
     for (int round = 0; round < kMostRounds; ++round) {
-      const std::vector<FilteredRun> filtered = filter_runs(found_.runs, found_.estimate);
+      const std::vector<FilteredRun> filtered = filter_runs(found_.runs, found_.estimate, found_.threads);
       if (filtered.empty() || !mark(filtered)) break;
       if (static_cast<double>(spikes_.size()) > kLargestShare * readings()) return false;
       refit(found_);
@@ -42,7 +42,7 @@ class SpikeSearch {
 
   /// The spikes as a mixture: a share of the readings has a far larger noise.
   Hypothesis result() {
-    const std::vector<FilteredRun> filtered = filter_runs(found_.runs, found_.estimate);
+    const std::vector<FilteredRun> filtered = filter_runs(found_.runs, found_.estimate, found_.threads);
     const double marked = static_cast<double>(spikes_.size());
     const double share = marked / readings();
     double square = 0.0;

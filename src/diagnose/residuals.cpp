@@ -351,7 +351,8 @@ double surprise_of_colour(std::span<const FilteredRun> runs) {
 
 Residuals examine(const Hypothesis& hypothesis) {
   Residuals residuals;
-  const std::vector<FilteredRun> filtered = filter_runs(hypothesis.runs, hypothesis.estimate);
+  const std::vector<FilteredRun> filtered =
+      filter_runs(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
   if (filtered.empty()) return residuals;
 
   struct Finding {
@@ -435,7 +436,7 @@ Residuals examine(const Hypothesis& hypothesis) {
   }
   std::vector<Answer> answers(questions.size());
   // One pass a kind: the columns of all its questions side by side.
-  const SignalScorer scorer(hypothesis.runs, hypothesis.estimate);
+  const SignalScorer scorer(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
   const Kind kinds[] = {Kind::Torque, Kind::Force, Kind::ForceReading, Kind::VelocityReading};
   for_each_index(4, hypothesis.threads, [&](std::size_t i) {
     SignalColumns signals{kinds[i], {}};

@@ -69,6 +69,10 @@ class ExtendedFit {
       evaluation->normals.resize(runs.size());
     }
     invalidate();
+    longest_first_.resize(runs.size());
+    std::iota(longest_first_.begin(), longest_first_.end(), 0);
+    std::stable_sort(longest_first_.begin(), longest_first_.end(),
+                     [&](std::size_t a, std::size_t b) { return runs[a].size() > runs[b].size(); });
     starts_ = start.initial_states;
     for (std::size_t r = 0; r < runs.size(); ++r) {
       CLAMPD_ASSERT(starts_[r].size() == locals_);
@@ -198,7 +202,8 @@ class ExtendedFit {
   Variances estimate_noise(Variances variances, int iterations) {
     std::vector<NoiseSquares> parts(runs_.size());
     for (int i = 0; i < iterations; ++i) {
-      for_each_index(runs_.size(), threads_, [&](std::size_t r) {
+      for_each_index(runs_.size(), threads_, [&](std::size_t place) {
+        const std::size_t r = longest_first_[place];
         std::vector<double> innovation;
         regain(runs_[r], variances, now_.runs[r], innovation);
         parts[r] = smooth(runs_[r], now_.runs[r], innovation, nullptr);
@@ -270,7 +275,8 @@ class ExtendedFit {
     if (!within_bounds(model)) return false;
     const ExtendedBrake brake(model);
     std::atomic<bool> possible{true};
-    for_each_index(runs_.size(), threads_, [&](std::size_t r) {
+    for_each_index(runs_.size(), threads_, [&](std::size_t place) {
+      const std::size_t r = longest_first_[place];
       if (!possible) return;
       const Eigen::VectorXd initial = point.segment(local(r), locals_);
       if (!linearise(runs_[r], brake, model, unknowns_, initial, variances, gains, now_.runs[r])) {
@@ -313,6 +319,7 @@ class ExtendedFit {
   ExtendedBrake shape_;
   Unknowns unknowns_;
   std::vector<Eigen::VectorXd> starts_, centres_;
+  std::vector<std::size_t> longest_first_;  ///< the runs: no thread is left with one at the end
   std::vector<double> prior_;
   std::vector<int> drawn_;  ///< those of the locals that the prior draws for each run
   int parameters_ = 0;
@@ -582,17 +589,18 @@ std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const Exte
   return forecasts;
 }
 
-std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate) {
-  std::vector<FilteredRun> views;
-  ExtendedFit fit(runs, estimate, {});
+std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                                     const SpareThreads& threads) {
+  ExtendedFit fit(runs, estimate, {}, threads);
   const Variances variances = variances_of(estimate.noise);
-  if (!fit.renew(fit.start(), variances)) return views;
+  if (!fit.renew(fit.start(), variances)) return {};
   const ExtendedBrake brake(estimate.parameters);
-  std::vector<double> innovation;
-  for (std::size_t r = 0; r < runs.size(); ++r) {
+  std::vector<FilteredRun> views(runs.size());
+  for_each_index(runs.size(), threads, [&](std::size_t r) {
     ExtendedRun& linear = fit.mutable_runs()[r];
     const FitRun& run = runs[r];
-    FilteredRun view;
+    FilteredRun& view = views[r];
+    std::vector<double> innovation;
     const std::size_t size = run.size();
     const auto n = static_cast<std::size_t>(linear.states);
     const int data = linear.columns() - 1;
@@ -631,14 +639,13 @@ std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const Extende
       row.torque_Nm += view.disturbance_Nm[k];
       state = brake.advance(state, row);
     }
-    views.push_back(std::move(view));
-  }
+  });
   return views;
 }
 
 struct SignalScorer::Filtered {
-  Filtered(std::span<const FitRun> given, const ExtendedEstimate& estimate)
-      : runs(given), model(estimate.parameters), fit(given, estimate, {}) {
+  Filtered(std::span<const FitRun> given, const ExtendedEstimate& estimate, const SpareThreads& threads)
+      : runs(given), model(estimate.parameters), fit(given, estimate, {}, threads) {
     possible = fit.renew(fit.start(), variances_of(estimate.noise));
     if (!possible) return;
     joint = fit.joint();
@@ -657,8 +664,9 @@ struct SignalScorer::Filtered {
   Eigen::LDLT<Eigen::MatrixXd> factor;
 };
 
-SignalScorer::SignalScorer(std::span<const FitRun> runs, const ExtendedEstimate& estimate)
-    : filtered_(std::make_unique<const Filtered>(runs, estimate)) {}
+SignalScorer::SignalScorer(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                           const SpareThreads& threads)
+    : filtered_(std::make_unique<const Filtered>(runs, estimate, threads)) {}
 
 SignalScorer::~SignalScorer() = default;
 

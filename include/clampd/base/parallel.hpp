@@ -32,7 +32,14 @@ class SpareThreads {
       if (spare_->compare_exchange_weak(spare, spare - 1)) return true;
     return false;
   }
-  void give_back() const { ++*spare_; }
+  void give_back() const {
+    ++*spare_;
+    spare_->notify_one();
+  }
+  /// Waits for one that others give back.
+  void await() const {
+    while (!take()) spare_->wait(0);
+  }
 
  private:
   std::shared_ptr<std::atomic<int>> spare_;
@@ -58,6 +65,11 @@ void for_each_index(std::size_t count, const SpareThreads& threads, const Work& 
       threads.give_back();
     });
   take(0);
+  if (others.empty()) return;
+  // A loop within what the others still do may use this thread's place.
+  threads.give_back();
+  others.clear();
+  threads.await();
 }
 
 /// The same on up to `threads` threads, the caller's one among them.

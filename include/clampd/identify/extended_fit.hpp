@@ -100,7 +100,8 @@ struct FilteredRun {
   std::vector<double> simulated_force_N, simulated_velocity_rad_s;  ///< with the smoothed torque errors
   double log_likelihood = 0.0;
 };
-std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate);
+std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                                     const SpareThreads& threads = {});
 
 /// A disturbance that a free function would add: to the torque balance (N m), to the pads' force (N), to the
 /// readings; one value a row and column.
@@ -120,7 +121,8 @@ struct SignalScores {
 /// Scores any number of signals against runs filtered once. Keeps references to runs and estimate.
 class SignalScorer {
  public:
-  SignalScorer(std::span<const FitRun> runs, const ExtendedEstimate& estimate);
+  SignalScorer(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+               const SpareThreads& threads = {});
   ~SignalScorer();
   SignalScorer(const SignalScorer&) = delete;
   SignalScorer& operator=(const SignalScorer&) = delete;
