@@ -2,17 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <initializer_list>
 #include <limits>
 #include <numbers>
 
 #include <Eigen/Cholesky>
-#include <Eigen/LU>
-#include <boost/math/special_functions/sinc.hpp>
 
-#include "clampd/base/parallel.hpp"
 #include "src/diagnose/evidence.hpp"
+#include "src/diagnose/look.hpp"
 
 namespace clampd::diagnosing {
 
@@ -44,94 +41,8 @@ constexpr int kMostMisses = 3;
 /// Enough to see whether a candidate is among the best; those are then fitted to the end.
 constexpr int kRoughIterations = 14;
 
-/// Scan of a periodic torque over the motor angle: finer than what one run over the whole travel resolves.
-constexpr double kScanFirst = 0.4;
-constexpr double kScanLast = 90.0;
-constexpr double kScanStep = 0.12;
-constexpr std::size_t kPeaks = 2;
-constexpr double kNeighbourhood = 0.5;
 /// A second period beside one that promises this share of what the first has brought may be the true one.
 constexpr double kStandsOut = 0.1;
-constexpr double kFineStep = 0.025;
-constexpr Eigen::Index kScanTogether = 64;  // orders that fit the cache
-
-constexpr double kSpikeDegrees = 2.0;
-
-std::vector<std::vector<double>> combinations(const Effect& effect, std::span<const Run> recorded) {
-  const auto& parameters = info_of(effect).parameters;
-  std::vector<std::vector<double>> list{{}};
-  for (std::size_t i = 0; i < parameters.size(); ++i) {
-    std::vector<double> values = starts_of(effect, i, recorded);
-    if (parameters[i].role == Role::Strength) values.insert(values.begin(), parameters[i].neutral);
-    if (parameters[i].role == Role::Refinement) values.resize(1);
-    std::vector<std::vector<double>> longer;
-    for (const auto& begun : list)
-      for (const double value : values) {
-        longer.push_back(begun);
-        longer.back().push_back(value);
-      }
-    list = std::move(longer);
-  }
-  return list;
-}
-
-/// Alternatives tried: choices, and shapes, of which nothing is known where the effect is absent, so that the
-/// best of many is taken (Davies 1987).
-double choices_of(const Effect& effect) {
-  double count = 1.0;
-  for (const EffectParameter& parameter : info_of(effect).parameters)
-    if (parameter.role != Role::Strength)
-      count *= std::max<double>(1.0, static_cast<double>(parameter.starts.size()));
-  return count;
-}
-
-Eigen::Index estimated_of(const Effect& effect) {
-  const auto& parameters = info_of(effect).parameters;
-  return std::count_if(parameters.begin(), parameters.end(), is_estimated);
-}
-
-double degrees_of(const Effect& effect, std::size_t runs) {
-  const EffectInfo& info = info_of(effect);
-  double degrees =
-      info.free_states_count ? static_cast<double>(info.free_states) * static_cast<double>(runs) : 0.0;
-  degrees += static_cast<double>(estimated_of(effect));
-  // Spikes have no equations; their share and size are what is estimated.
-  return degrees > 0.0 ? degrees : kSpikeDegrees;
-}
-
-/// The effect at the end of the step that the forecast proposes, within its bounds; what it promises is void
-/// where a one-sided strength would have to go below its neutral value.
-Start start_from(const Effect& effect, const std::vector<double>& values, const Hypothesis& hypothesis,
-                 const StepForecast& forecast) {
-  const auto& parameters = info_of(effect).parameters;
-  const Eigen::Index own = forecast.step.size() - estimated_of(effect);
-  Start start{
-      {&effect, values}, forecast.after_step - hypothesis.estimate.log_likelihood, forecast.step.head(own)};
-  const auto strengths = std::count_if(parameters.begin(), parameters.end(),
-                                       [](const auto& each) { return each.role == Role::Strength; });
-  Eigen::Index at = forecast.step.size();
-  for (std::size_t i = parameters.size(); i-- > 0;) {
-    const EffectParameter& parameter = parameters[i];
-    if (!is_estimated(parameter)) continue;
-    const double move = forecast.step[--at];
-    if (parameter.role == Role::Strength) {
-      if (values[i] + move < parameter.lower && parameter.lower == parameter.neutral)
-        start.predicted_gain = 0.0;
-      const double width = parameter.upper - parameter.lower;
-      start.values.values[i] = std::clamp(
-          values[i] + move, parameter.lower + 1e-4 * width * (parameter.lower == parameter.neutral),
-          parameter.upper - 0.02 * width);
-    } else if (info_of(effect).free_states == 0 && strengths == 0) {
-      // Nothing but a shape: the step moves it.
-      const double moved = parameter.logarithmic
-                               ? values[i] * std::exp(std::clamp(move / values[i], -0.7, 0.7))
-                               : values[i] + move;
-      start.values.values[i] = std::clamp(moved, parameter.lower, parameter.upper);
-    }
-  }
-  return start;
-}
-
 /// What readings would add that a model with these delays cannot use, if it missed them by its noise as it
 /// does the others: that it cannot speaks neither for it nor against it.
 double likelihood_of_unusable(const EffectDelays& delays, const Hypothesis& hypothesis) {
@@ -247,176 +158,6 @@ void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std:
   }
 }
 
-/// Whether its starts are peaks of a scan, each of which promises about what it can bring.
-bool is_scanned(const Effect& effect) {
-  return info_of(effect).name == "cogging";
-}
-
-/// A grid of orders of a torque that is periodic in the motor angle.
-struct Orders {
-  double first, step;
-  Eigen::Index count;
-  double operator[](Eigen::Index i) const { return first + step * static_cast<double>(i); }
-};
-
-/// What each order promises.
-std::vector<Start> scan(const Orders& orders, const Effect& effect, const SignalScorer& scorer,
-                        std::span<const FilteredRun> filtered, const SpareThreads& threads) {
-  const EffectInfo& info = info_of(effect);
-  std::vector<Start> found(static_cast<std::size_t>(orders.count));
-  const auto blocks = static_cast<std::size_t>((orders.count + kScanTogether - 1) / kScanTogether);
-  for_each_index(blocks, threads, [&](std::size_t block) {
-    const Eigen::Index first = static_cast<Eigen::Index>(block) * kScanTogether;
-    const Eigen::Index count = std::min(kScanTogether, orders.count - first);
-    SignalColumns signals{SignalColumns::Kind::Torque, {}};
-    for (const FilteredRun& run : filtered) {
-      const Eigen::Index last = static_cast<Eigen::Index>(run.position_rad.size()) - 1;
-      Eigen::MatrixXd rows(last + 1, 2 * count);
-      for (Eigen::Index k = 0; k <= last; ++k) {
-        const double from = run.position_rad[static_cast<std::size_t>(k)];
-        const double to = run.position_rad[static_cast<std::size_t>(std::min(k + 1, last))];
-        for (Eigen::Index i = 0; i < count; ++i) {
-          // The mean over the way to the next row.
-          const double angle = 0.5 * orders[first + i] * (from + to);
-          const double half = 0.5 * orders[first + i] * (to - from);
-          const double mean = boost::math::sinc_pi(half);
-          rows(k, 2 * i) = -mean * std::sin(angle);
-          rows(k, 2 * i + 1) = -mean * std::cos(angle);
-        }
-      }
-      signals.rows.push_back(std::move(rows));
-    }
-    const SignalScores scores = scorer.score(signals, 2);
-    for (Eigen::Index i = 0; i < count; ++i) {
-      const Eigen::Matrix2d information = scores.information.block<2, 2>(2 * i, 2 * i);
-      const Eigen::Vector2d score = scores.score.segment<2>(2 * i);
-      Start& start = found[static_cast<std::size_t>(first + i)];
-      start.values = {&effect, {0.0, 0.0, orders[first + i]}};
-      if (information.determinant() > 1e-9 * information.trace() * information.trace()) {
-        const Eigen::Vector2d amplitude = information.ldlt().solve(score);
-        start.predicted_gain = 0.5 * score.dot(amplitude);
-        for (std::size_t p = 0; p < 2; ++p)
-          start.values.values[p] = std::clamp(amplitude[static_cast<Eigen::Index>(p)],
-                                              0.9 * info.parameters[p].lower, 0.9 * info.parameters[p].upper);
-      }
-    }
-  });
-  return found;
-}
-
-/// Starts at the peaks of what a scan over the orders promises. Runs over a short stretch of the motor angle
-/// make peaks beside the true one, too close for the scan, that a fit does not leave: the best are looked at
-/// closely.
-void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
-  const std::vector<FilteredRun> filtered =
-      filter_runs(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
-  if (filtered.empty()) return;
-  const SignalScorer scorer(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
-  const Orders all{kScanFirst, kScanStep,
-                   static_cast<Eigen::Index>((kScanLast - kScanFirst) / kScanStep) + 1};
-  const auto promises_more = [](const Start& a, const Start& b) {
-    return a.predicted_gain > b.predicted_gain;
-  };
-  const auto order = [](const Start& start) { return start.values.values[2]; };
-  std::vector<Start> rough = scan(all, *candidate.effect, scorer, filtered, hypothesis.threads);
-  std::sort(rough.begin(), rough.end(), promises_more);
-  std::vector<double> centres;
-  for (const Start& start : rough) {
-    if (centres.size() == kPeaks) break;
-    if (std::any_of(centres.begin(), centres.end(),
-                    [&](double other) { return std::abs(other - order(start)) < 2.0 * kNeighbourhood; }))
-      continue;
-    centres.push_back(order(start));
-    const double first = std::max(kScanFirst, order(start) - kNeighbourhood);
-    const std::vector<Start> fine =
-        scan({first, kFineStep, static_cast<Eigen::Index>(2.0 * kNeighbourhood / kFineStep) + 1},
-             *candidate.effect, scorer, filtered, hypothesis.threads);
-    for (std::size_t i = 1; i + 1 < fine.size(); ++i)
-      if (promises_more(fine[i], fine[i - 1]) && !promises_more(fine[i + 1], fine[i]))
-        candidate.starts.push_back(fine[i]);
-  }
-  std::sort(candidate.starts.begin(), candidate.starts.end(), promises_more);
-  if (candidate.starts.size() > kMostFits) candidate.starts.resize(kMostFits);
-  // Neighbours of the grid see the same: so many of them are different questions.
-  candidate.alternatives = 0.5 * static_cast<double>(all.count);
-}
-
-/// One set of values of a candidate, and what a step from there promises.
-struct Look {
-  std::size_t candidate;
-  EffectValues values;
-  StepForecast seen;
-};
-
-/// Whether an effect with these values is there in name only.
-bool is_neutral(const EffectValues& values) {
-  const auto& parameters = info_of(*values.effect).parameters;
-  bool has_strength = false;
-  for (std::size_t i = 0; i < parameters.size(); ++i) {
-    if (parameters[i].role != Role::Strength) continue;
-    if (values.values[i] != parameters[i].neutral) return false;
-    has_strength = true;
-  }
-  return has_strength;
-}
-
-/// Those that one linearisation can tell of.
-std::vector<std::vector<Look*>> looks_together(const Hypothesis& hypothesis, std::vector<Look>& looks) {
-  std::vector<std::vector<Look*>> batches;
-  std::vector<Look*> batch;
-  std::vector<EffectValues> effects;
-  const auto close = [&] {
-    if (!batch.empty()) batches.push_back(std::move(batch));
-    batch.clear();
-    effects.clear();
-  };
-  for (Look& look : looks) {
-    if (!is_neutral(look.values) || info_of(*look.values.effect).free_states > 0) {
-      batches.push_back({&look});
-      continue;
-    }
-    effects.push_back(look.values);
-    if (!batch.empty() && !room_for(hypothesis, effects)) {
-      close();
-      effects.push_back(look.values);
-    }
-    batch.push_back(&look);
-  }
-  close();
-  return batches;
-}
-
-void take(const Hypothesis& hypothesis, const std::vector<Look*>& batch) {
-  if (batch.size() == 1) {
-    Look& look = *batch.front();
-    look.seen = forecast(hypothesis.runs, with_effect(hypothesis.estimate, look.values), hypothesis.threads);
-    return;
-  }
-  std::vector<EffectValues> effects;
-  for (const Look* look : batch) effects.push_back(look->values);
-  std::vector<StepForecast> seen =
-      forecast_each(hypothesis.runs, hypothesis.estimate, effects, hypothesis.threads);
-  for (std::size_t i = 0; i < batch.size(); ++i) batch[i]->seen = std::move(seen[i]);
-}
-
-/// The start that a look shows, and how well its strengths can be seen.
-void add_start(const Hypothesis& hypothesis, const Look& look, Candidate& candidate) {
-  if (look.seen.step.size() == 0) return;
-  const auto& parameters = info_of(*candidate.effect).parameters;
-  candidate.starts.push_back(start_from(*candidate.effect, look.values.values, hypothesis, look.seen));
-  if (!is_neutral(look.values)) return;
-  // Strengths come last or before shapes; the best known one counts.
-  Eigen::Index at = look.seen.sd.size();
-  double blindness = 0.0;
-  for (std::size_t i = parameters.size(); i-- > 0;) {
-    if (!is_estimated(parameters[i])) continue;
-    --at;
-    if (parameters[i].role == Role::Strength)
-      blindness = std::max(blindness, look.seen.sd[at] / parameters[i].scale);
-  }
-  candidate.blindness = candidate.blindness > 0.0 ? std::min(candidate.blindness, blindness) : blindness;
-}
-
 }  // namespace
 
 double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
@@ -444,55 +185,6 @@ double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
 void weigh(Candidate& candidate, const Hypothesis& hypothesis) {
   candidate.gain = std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood());
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
-}
-
-bool room_for(const Hypothesis& hypothesis, std::span<const EffectValues> further) {
-  int states = 2;
-  std::size_t parameters = kParameterCount;
-  const auto add = [&](const EffectValues& values) {
-    states += info_of(*values.effect).states;
-    parameters += values.values.size();
-  };
-  std::for_each(hypothesis.estimate.parameters.effects.begin(), hypothesis.estimate.parameters.effects.end(),
-                add);
-  std::for_each(further.begin(), further.end(), add);
-  return states <= ExtendedBrake::kMostStates &&
-         parameters <= static_cast<std::size_t>(ExtendedBrake::kMostParameters);
-}
-
-std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypothesis& hypothesis,
-                               std::span<const Run> recorded) {
-  std::vector<Candidate> candidates(tried.size());
-  std::vector<Look> looks;
-  std::vector<std::function<void()>> work;
-  for (std::size_t i = 0; i < tried.size(); ++i) {
-    Candidate& candidate = candidates[i];
-    const Effect& effect = *tried[i];
-    candidate.effect = &effect;
-    candidate.degrees = degrees_of(effect, hypothesis.runs.size());
-    candidate.alternatives = choices_of(effect);
-    if (info_of(effect).name == kSpikes) {
-      work.emplace_back([&] { candidate = look_for_outliers(hypothesis); });
-    } else if (is_scanned(effect)) {
-      work.emplace_back([&] { add_peaks(hypothesis, candidate); });
-    } else {
-      for (std::vector<double>& values : combinations(effect, recorded))
-        looks.push_back({i, {&effect, std::move(values)}, {}});
-    }
-  }
-  const std::vector<std::vector<Look*>> together = looks_together(hypothesis, looks);
-  for (const std::vector<Look*>& batch : together) work.emplace_back([&] { take(hypothesis, batch); });
-  for_each_index(work.size(), hypothesis.threads, [&](std::size_t i) { work[i](); });
-  for (const Look& look : looks) add_start(hypothesis, look, candidates[look.candidate]);
-  for (Candidate& candidate : candidates) {
-    if (candidate.is_fitted) continue;
-    std::sort(candidate.starts.begin(), candidate.starts.end(),
-              [](const Start& a, const Start& b) { return a.predicted_gain > b.predicted_gain; });
-    if (!candidate.starts.empty()) candidate.predicted_gain = candidate.starts.front().predicted_gain;
-    candidate.predicted_evidence =
-        evidence_of(candidate.predicted_gain, candidate.degrees, candidate.alternatives);
-  }
-  return candidates;
 }
 
 bool is_stuck(const Hypothesis& hypothesis) {

@@ -54,14 +54,6 @@ struct Candidate {
   std::string_view name() const { return info_of(*effect).name; }
 };
 
-/// Everything about how promising effects are beside a hypothesis, without fitting them; outliers, which have
-/// nothing to fit, are found. One candidate for each, in that order.
-std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypothesis& hypothesis,
-                               std::span<const Run> recorded);
-
-/// Whether a model has states and parameters left for these effects beside its own.
-bool room_for(const Hypothesis& hypothesis, std::span<const EffectValues> further);
-
 /// Fits it roughly, if it is fitted already as far as that may be better; several starts where the first does
 /// not bring what it promised.
 /// `also_afresh`: from the nominal brake as well.

@@ -7,6 +7,7 @@
 
 #include "clampd/base/parallel.hpp"
 #include "src/diagnose/evidence.hpp"
+#include "src/diagnose/look.hpp"
 
 namespace clampd::diagnosing {
 

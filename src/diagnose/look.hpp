@@ -1,0 +1,29 @@
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "src/diagnose/hypothesis.hpp"
+
+namespace clampd::diagnosing {
+
+/// Everything about how promising effects are beside a hypothesis, without fitting them; outliers, which have
+/// nothing to fit, are found. One candidate for each, in that order.
+std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypothesis& hypothesis,
+                               std::span<const Run> recorded);
+
+/// Whether a model has states and parameters left for these effects beside its own.
+bool room_for(const Hypothesis& hypothesis, std::span<const EffectValues> further);
+
+/// Parameters that an effect adds to a model of so many runs, those of each run among them.
+double degrees_of(const Effect& effect, std::size_t runs);
+
+/// Whether its starts are peaks of a scan, each of which promises about what it can bring.
+bool is_scanned(const Effect& effect);
+
+/// Starts at the peaks of what a scan over the orders promises. Runs over a short stretch of the motor angle
+/// make peaks beside the true one, too close for the scan, that a fit does not leave: the best are looked at
+/// closely.
+void add_peaks(const Hypothesis& hypothesis, Candidate& candidate);
+
+}  // namespace clampd::diagnosing
