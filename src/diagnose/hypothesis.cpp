@@ -286,19 +286,21 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
       if (candidate.fitted.log_likelihood() < reached + kHelps_nats) break;
     }
   }
-  if (info_of(*candidate.effect).repeatable) {
+  if (is_scanned(*candidate.effect)) {
     // Beside one period another stands out that the base model hides: perhaps that is the only one.
     Candidate beside;
     beside.effect = candidate.effect;
     add_peaks(candidate.fitted, beside);
-    if (!beside.starts.empty() && beside.starts.front().predicted_gain > kStandsOut * candidate.gain) {
+    if (!beside.starts.empty() && beside.starts.front().predicted_gain > kStandsOut * candidate.gain &&
+        room_for(candidate.fitted, {&beside.starts.front().values, 1})) {
       const Hypothesis both = fitted_from(beside.starts.front(), candidate.fitted,
                                           candidate.fitted.estimate.noise.torque_Nm, kRoughIterations);
       const std::size_t first = candidate.fitted.estimate.parameters.effects.size() - 1;
-      const bool is_first_needed =
-          both.estimate.covariance.allFinite() &&
-          known_strength(both, first) > both.log_likelihood() - candidate.fitted.log_likelihood();
-      if (both.possible() && !is_first_needed)
+      const auto is_first_needed = [&] {
+        return both.estimate.covariance.allFinite() &&
+               known_strength(both, first) > both.log_likelihood() - candidate.fitted.log_likelihood();
+      };
+      if (both.possible() && !is_first_needed())
         keep_if_better(fitted_from({.values = both.estimate.parameters.effects.back()}, hypothesis,
                                    kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
                        candidate.fitted);
