@@ -67,6 +67,35 @@ TEST(ExtendedFit, AStepForecastsWhatTheFitBrings) {
   EXPECT_NEAR((seen.after_step - seen.log_likelihood) / gain, 1.0, 0.3);
 }
 
+/// What one linearisation of all effects that are there in name only tells of each.
+TEST(ExtendedFit, ManyEffectsAtNeutralAreForeseenTogetherAsAlone) {
+  const std::vector<clampd::Run> runs = runs_of("force-lag", 21, 5);
+  const ExtendedEstimate base =
+      with_effect(fit_base(runs, BrakeParameters{}), {find_effect("backlash"), {0.05}});
+  ASSERT_TRUE(base.possible);
+  const std::vector<FitRun> fitted = fit_runs(runs);
+  const std::vector<EffectValues> effects{{find_effect("force-lag"), {0.0}},
+                                          {find_effect("torque-gain"), {0.0}},
+                                          {find_effect("friction-asymmetry"), {0.0, 0.0, 1.0}},
+                                          {find_effect("stiffness-hysteresis"), {0.0, 0.1, 1.0}},
+                                          {find_effect("stiffness-hysteresis"), {0.0, 2.5, 1.0}},
+                                          {find_effect("channel-skew"), {0.0, 0.0, 2.0}}};
+  const std::vector<StepForecast> together = forecast_each(fitted, base, effects);
+  ASSERT_EQ(together.size(), effects.size());
+  for (std::size_t e = 0; e < effects.size(); ++e) {
+    const StepForecast alone = forecast(fitted, with_effect(base, effects[e]));
+    const std::string_view name = info_of(*effects[e].effect).name;
+    EXPECT_NEAR(together[e].log_likelihood, alone.log_likelihood, 1e-6) << name;
+    EXPECT_NEAR(together[e].after_step, alone.after_step, 1e-5) << name;
+    ASSERT_EQ(together[e].step.size(), alone.step.size()) << name;
+    for (Eigen::Index i = 0; i < alone.step.size(); ++i) {
+      if (!(alone.sd[i] < 1e6)) continue;  // a shape that neutral strengths do not show
+      EXPECT_NEAR(together[e].step[i], alone.step[i], 1e-3 * alone.sd[i]) << name << " " << i;
+      EXPECT_NEAR(together[e].sd[i], alone.sd[i], 1e-4 * alone.sd[i]) << name << " " << i;
+    }
+  }
+}
+
 TEST(ExtendedFit, IsTheSameOnAnyNumberOfThreads) {
   const std::vector<clampd::Run> runs = runs_of("force-lag", 21, 5);
   const ExtendedEstimate start =
