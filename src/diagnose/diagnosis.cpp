@@ -223,6 +223,8 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
     if (bare.possible())
       explained = std::min(explained, selection.chosen.log_likelihood() - bare.log_likelihood());
   }
+  selection.chosen.estimate.covariance =
+      covariance_over_runs(selection.chosen.runs, selection.chosen.estimate, selection.chosen.threads);
   const bool is_something_left = something_left();
   const bool is_unexplained = lost || much_left();
 

@@ -165,11 +165,14 @@ class ExtendedFit {
     return sum;
   }
 
-  /// All runs' initial states eliminated.
+  /// A run's, its initial state eliminated.
+  Reduced reduced(std::size_t run) const { return without_locals(now_.normals[run], parameters_, locals_); }
+
+  /// Of all runs.
   Reduced joint() const {
     Reduced joint{Eigen::MatrixXd::Zero(parameters_, parameters_), Eigen::VectorXd::Zero(parameters_)};
-    for (const Eigen::MatrixXd& normal : now_.normals) {
-      const Reduced run = without_locals(normal, parameters_, locals_);
+    for (std::size_t r = 0; r < runs_.size(); ++r) {
+      const Reduced run = reduced(r);
       joint.information += run.information;
       joint.gradient += run.gradient;
       joint.squares += run.squares;
@@ -587,6 +590,44 @@ std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const Exte
     forecasts[e] = forecast_of(fit, extended.parameters, joint, which);
   }
   return forecasts;
+}
+
+Eigen::MatrixXd covariance_over_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                                     const SpareThreads& threads) {
+  constexpr std::size_t kFewestRuns = 5;
+  constexpr double kLeastLeft = 0.05;  // of the information, without a run that tells nearly everything
+  if (runs.size() < kFewestRuns || !estimate.covariance.allFinite()) return estimate.covariance;
+  ExtendedFit fit(runs, estimate, {}, threads);
+  if (fit.parameters() == 0 || !fit.renew(fit.start(), variances_of(estimate.noise)))
+    return estimate.covariance;
+  const Eigen::MatrixXd information = fit.joint().information;
+  const Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
+  const Eigen::LLT<Eigen::MatrixXd> factor(information.cwiseQuotient(scale * scale.transpose()));
+  if (factor.info() != Eigen::Success) return estimate.covariance;
+  const auto lower = factor.matrixL();
+  Eigen::MatrixXd scatter = Eigen::MatrixXd::Zero(information.rows(), information.cols());
+  for (std::size_t r = 0; r < runs.size(); ++r) {
+    const Reduced run = fit.reduced(r);
+    const Eigen::VectorXd score = lower.solve(run.gradient.cwiseQuotient(scale));
+    const Eigen::MatrixXd half = lower.solve(run.information.cwiseQuotient(scale * scale.transpose()));
+    const Eigen::MatrixXd share = lower.solve(half.transpose());
+    // The fit has followed the run by its share of the information.
+    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> parts(share);
+    const Eigen::ArrayXd left = (1.0 - parts.eigenvalues().array()).max(kLeastLeft);
+    const Eigen::VectorXd by_parts = parts.eigenvectors().transpose() * score;
+    const Eigen::VectorXd own = parts.eigenvectors() * (by_parts.array() / left.sqrt()).matrix();
+    scatter += own * own.transpose();
+  }
+  const Eigen::MatrixXd half = factor.matrixU().solve(scatter);
+  const Eigen::MatrixXd over_runs = factor.matrixU().solve(half.transpose());
+  Eigen::VectorXd larger = Eigen::VectorXd::Ones(estimate.covariance.rows());
+  for (int i = 0; i < fit.parameters(); ++i) {
+    const int at = fit.unknowns().parameter(i);
+    const double slope = fit.unknowns().slope(estimate.parameters, i) / scale[i];
+    const double ratio = over_runs(i, i) * slope * slope / estimate.covariance(at, at);
+    if (ratio > 1.0) larger[at] = std::sqrt(ratio);
+  }
+  return larger.asDiagonal() * estimate.covariance * larger.asDiagonal();
 }
 
 std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate,

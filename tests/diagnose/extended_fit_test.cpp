@@ -96,6 +96,30 @@ TEST(ExtendedFit, ManyEffectsAtNeutralAreForeseenTogetherAsAlone) {
   }
 }
 
+/// The largest factor by which standard deviations grow for how far the runs contradict each other.
+double growth_over_runs(const std::vector<clampd::Run>& runs) {
+  const ExtendedEstimate estimate = fit_base(runs, BrakeParameters{});
+  EXPECT_TRUE(estimate.possible);
+  const Eigen::MatrixXd covariance = covariance_over_runs(fit_runs(runs), estimate);
+  const Eigen::ArrayXd ratio =
+      (covariance.diagonal().array() / estimate.covariance.diagonal().array()).sqrt();
+  EXPECT_GE(ratio.minCoeff(), 1.0 - 1e-12) << "never smaller";
+  return ratio.maxCoeff();
+}
+
+TEST(ExtendedFit, RunsThatContradictEachOtherMakeTheParametersLessSure) {
+  std::vector<clampd::Run> runs = runs_of("", 12, 15);
+  EXPECT_LT(growth_over_runs(runs), 2.0);
+  double gain = 1.005;  // of each run's force reading: no model knows of that
+  for (clampd::Run& run : runs) {
+    for (double& force : run.force_N) force *= gain;
+    gain = 2.0 - gain;
+  }
+  EXPECT_GT(growth_over_runs(runs), 3.0);
+  runs.resize(4);
+  EXPECT_EQ(growth_over_runs(runs), 1.0) << "too few runs to tell";
+}
+
 TEST(ExtendedFit, IsTheSameOnAnyNumberOfThreads) {
   const std::vector<clampd::Run> runs = runs_of("force-lag", 21, 5);
   const ExtendedEstimate start =

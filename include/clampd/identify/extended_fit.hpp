@@ -90,6 +90,13 @@ std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const Exte
                                         std::span<const EffectValues> effects,
                                         const SpareThreads& threads = {});
 
+/// The estimate's covariance, its standard deviations no smaller than what the runs tell by how far they
+/// contradict each other, which also knows of errors that the model does not: the sandwich of White (1982)
+/// over runs, without bias for few of them (Bell, McCaffrey 2002), the larger of both (Angrist, Pischke 2009,
+/// 8.2). From fewer than five runs, and where it is not finite, as it is.
+Eigen::MatrixXd covariance_over_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                                     const SpareThreads& threads = {});
+
 /// Runs filtered at an estimate. Innovations over their standard deviations: 1 and white if the model is
 /// right.
 struct FilteredRun {
