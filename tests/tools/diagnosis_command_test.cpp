@@ -100,6 +100,7 @@ TEST_P(BadDiagnoseInputs, AreRefusedWithAMessageAndNothingIsWritten) {
   EXPECT_THAT(outcome.output, HasSubstr(GetParam().says));
   EXPECT_THAT(outcome.output, Not(HasSubstr("terminate")));
   for (const char* file : {"out.json", "out.html", "out.toml", "out.csv"}) EXPECT_FALSE(exists(file)) << file;
+  EXPECT_THAT(folder_.read("word.csv"), StartsWith(kRunHeader)) << "no run is overwritten";
 }
 
 INSTANTIATE_TEST_SUITE_P(
@@ -121,6 +122,7 @@ INSTANTIATE_TEST_SUITE_P(
         BadInput{"Unwritable", "short.csv --json nowhere/out.json", "nowhere"},
         BadInput{"ReportOnStandardOutput", "short.csv --report -", "--report needs the name of a file"},
         BadInput{"SameFile", "short.csv --save out.toml --next out.toml", "name the same file"},
+        BadInput{"RunsForTheResult", "--json word.csv short.csv", "word.csv is there already"},
         BadInput{"Threads", "short.csv --threads -1", "--threads"}),
     [](const auto& instance) { return std::string(instance.param.name); });
 

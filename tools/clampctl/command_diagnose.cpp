@@ -48,7 +48,9 @@ Result<void> check_outputs(const DiagnoseCommand& command) {
     for (std::size_t other = 0; other < i; ++other)
       if (*outputs[other].second == *path)
         return failure(fmt::format("{} and {} name the same file", outputs[other].first, option));
-    if (Result<void> writable = cli::check_writable(*path); !writable) return writable;
+    const bool is_run = path == &command.next;
+    if (Result<void> writable = is_run ? cli::check_writable(*path) : cli::check_document(*path); !writable)
+      return writable;
   }
   for (const std::string& held : command.heldout)
     if (std::find(command.files.begin(), command.files.end(), held) != command.files.end())

@@ -212,7 +212,7 @@ Result<std::size_t> parameter_named(const std::string& name) {
 }
 
 int identify_files(IdentifyOptions options) {
-  if (const Result<void> writable = cli::check_writable(options.json); !writable)
+  if (const Result<void> writable = cli::check_document(options.json); !writable)
     return cli::refuse(writable.error());
   EstimatorOptions& settings = options.estimator;
   if (!options.model.empty()) {

@@ -189,7 +189,7 @@ int run(RunOptions options, const CommonOptions& common) {
           {"no master brake is configured: [master] names its serial number and its certified limits"});
   }
   if (const Result<void> valid = validate(options.request); !valid) return cli::refuse(valid.error());
-  if (const Result<void> writable = cli::check_writable(options.json); !writable)
+  if (const Result<void> writable = cli::check_document(options.json); !writable)
     return cli::refuse(writable.error());
   watch_for_interrupt();
   const int code = configuration->embedded() || !options.simulated_brake.empty()

@@ -31,6 +31,16 @@ Result<void> check_writable(const std::string& path) {
   return {};
 }
 
+Result<void> check_document(const std::string& path) {
+  std::error_code failed;
+  if (fs::path(path).extension() == ".csv" && fs::exists(path, failed))
+    return failure(
+        fmt::format("{} is there already and is named like a run, which would be lost; give the "
+                    "result another name, and that before the runs",
+                    path));
+  return check_writable(path);
+}
+
 Result<void> write_json(const std::string& path, const nlohmann::ordered_json& document) {
   if (path.empty()) return {};
   if (path == "-") {

@@ -16,6 +16,9 @@ int refuse(const Error& error);
 /// and "-" (standard output) can always be written.
 Result<void> check_writable(const std::string& path);
 
+/// The same for what is no run; nor does it take the place of one: `--json *.csv` names the first of them.
+Result<void> check_document(const std::string& path);
+
 /// Writes the document where the user asked for it: nowhere for an empty path, to standard output for "-".
 Result<void> write_json(const std::string& path, const nlohmann::ordered_json& document);
 
