@@ -87,7 +87,7 @@ class Selector {
       : runs_(runs), options_(options), alarm_(alarm_level(options.false_alarm)) {}
 
   /// All candidates beside a hypothesis, the promising ones fitted, best first. One that gains less than
-  /// `material` does not matter.
+  /// `material` does not matter. `taken_out`: what the hypothesis lacks of a fuller model, if it does.
   std::vector<Candidate> judge(const Hypothesis& hypothesis, const TakenOut* taken_out, double material,
                                double from, double to, const std::string& words) {
     const std::size_t others = hypothesis.estimate.parameters.effects.size();
