@@ -223,6 +223,8 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
     if (bare.possible())
       explained = std::min(explained, selection.chosen.log_likelihood() - bare.log_likelihood());
   }
+  // What is reported; rivals are compared by the models' own.
+  const Eigen::MatrixXd own_covariance = selection.chosen.estimate.covariance;
   selection.chosen.estimate.covariance =
       covariance_over_runs(selection.chosen.runs, selection.chosen.estimate, selection.chosen.threads);
   const bool is_something_left = something_left();
@@ -244,7 +246,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
     ambiguous = true;
     std::vector<std::string> group{selected.name};
     std::vector<Diagnosis::Rival> models{
-        {selected.name, selection.chosen.estimate.parameters, selection.chosen.estimate.covariance}};
+        {selected.name, selection.chosen.estimate.parameters, own_covariance}};
     for (const Candidate& rival : selected.rivals) {
       if (group.size() == kMostRivals) break;
       group.emplace_back(rival.name());

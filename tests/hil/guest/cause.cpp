@@ -19,14 +19,19 @@
 #include <signal.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
+#include <sys/syscall.h>
 #include <time.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
 #include <functional>
 #include <string>
+#include <system_error>
+#include <vector>
 
 namespace {
 
@@ -67,12 +72,28 @@ void wait_for_enable(int handle) {
   } while (frame.can_id != kBrakeCommand || (frame.data[2] & 1) == 0);
 }
 
+// A stop is carried out by the thread that gets it: an ordinary one waits for the processor, and the process
+// goes on until then. So each thread gets it, the real-time one among them.
+std::function<bool()> stop_of(pid_t pid) {
+  std::vector<pid_t> threads;
+  std::error_code failed;
+  for (const auto& thread :
+       std::filesystem::directory_iterator("/proc/" + std::to_string(pid) + "/task", failed))
+    threads.push_back(std::atoi(thread.path().filename().c_str()));
+  if (failed || threads.empty()) give_up("no process " + std::to_string(pid));
+  return [=] {
+    return std::all_of(threads.begin(), threads.end(),
+                       [&](pid_t thread) { return syscall(SYS_tgkill, pid, thread, SIGSTOP) == 0; });
+  };
+}
+
 // Everything that can be prepared is prepared before the clocks are read: what is returned only acts.
 std::function<bool()> prepare(int count, char** words) {
   const std::string verb = count > 1 ? words[1] : "";
   if (count == 4 && verb == "kill") {
     const int signal_number = std::atoi(words[2]);
     const pid_t pid = std::atoi(words[3]);
+    if (signal_number == SIGSTOP) return stop_of(pid);
     return [=] { return kill(pid, signal_number) == 0; };
   }
   if (count == 4 && verb == "link") {
