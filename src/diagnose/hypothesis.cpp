@@ -259,12 +259,11 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
 
-void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hypothesis& hypothesis,
-              Candidate& candidate) {
+void fit_from(const KnownFit& known, const Hypothesis& hypothesis, Candidate& candidate) {
   candidate.is_fitted = true;
-  keep_if_better(
-      fitted_from({.values = values}, elsewhere, elsewhere.estimate.noise.torque_Nm, kRoughIterations),
-      candidate.fitted);
+  keep_if_better(fitted_from({.values = known.values}, known.others, known.others.estimate.noise.torque_Nm,
+                             kRoughIterations),
+                 candidate.fitted);
   if (candidate.fitted.possible()) weigh(candidate, hypothesis);
 }
 
@@ -293,14 +292,16 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
     add_peaks(candidate.fitted, beside);
     if (!beside.starts.empty() && beside.starts.front().predicted_gain > kStandsOut * candidate.gain &&
         room_for(candidate.fitted, {&beside.starts.front().values, 1})) {
-      const Hypothesis both = fitted_from(beside.starts.front(), candidate.fitted,
+      Hypothesis both = fitted_from(beside.starts.front(), candidate.fitted,
                                           candidate.fitted.estimate.noise.torque_Nm, kRoughIterations);
       const std::size_t first = candidate.fitted.estimate.parameters.effects.size() - 1;
       const auto is_first_needed = [&] {
         return both.estimate.covariance.allFinite() &&
                known_strength(both, first) > both.log_likelihood() - candidate.fitted.log_likelihood();
       };
-      if (both.possible() && !is_first_needed())
+      if (both.possible() && is_first_needed())
+        candidate.twice = std::move(both);
+      else if (both.possible())
         keep_if_better(fitted_from({.values = both.estimate.parameters.effects.back()}, hypothesis,
                                    kModestTorque_Nm, ExtendedFitOptions{}.max_iterations),
                        candidate.fitted);

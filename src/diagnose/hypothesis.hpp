@@ -35,6 +35,13 @@ struct Start {
   Eigen::VectorXd step = {};
 };
 
+/// An effect that has been fitted beside a hypothesis, and the others as they were then: without it they bend
+/// around it.
+struct KnownFit {
+  EffectValues values;
+  Hypothesis others;
+};
+
 /// An effect judged beside a hypothesis.
 struct Candidate {
   const Effect* effect = nullptr;
@@ -47,6 +54,7 @@ struct Candidate {
   /// runs show it.
   double blindness = 0.0;
   Hypothesis fitted;
+  Hypothesis twice;  ///< the same effect once more beside it, if finish() found that both are needed
   double gain = 0.0;
   double evidence = 0.0;
   bool is_fitted = false;
@@ -59,9 +67,8 @@ struct Candidate {
 /// `also_afresh`: from the nominal brake as well.
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh);
 
-/// Once more, from these values beside another fit of the same hypothesis.
-void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hypothesis& hypothesis,
-              Candidate& candidate);
+/// Once more, from where it is known to fit.
+void fit_from(const KnownFit& known, const Hypothesis& hypothesis, Candidate& candidate);
 
 /// Gain and evidence of a candidate that is fitted, beside this fit of the hypothesis.
 void weigh(Candidate& candidate, const Hypothesis& hypothesis);

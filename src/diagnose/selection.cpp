@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include <fmt/format.h>
 
@@ -75,11 +76,12 @@ bool is_harmonic(const Candidate& candidate, const Hypothesis& hypothesis) {
   return false;
 }
 
-/// An effect that was in a model, and the others as they were beside it: without it they bend around it.
-struct TakenOut {
-  EffectValues values;
-  Hypothesis others;
-};
+/// The effect of a model that is fitted, and the others as they are there, as fits of a hypothesis that lacks it.
+KnownFit known_fit(const ExtendedEstimate& fuller, std::size_t effect, const Hypothesis& hypothesis) {
+  KnownFit known{fuller.parameters.effects[effect], hypothesis};
+  known.others.estimate = without_effect(fuller, effect);
+  return known;
+}
 
 class Selector {
  public:
@@ -87,8 +89,8 @@ class Selector {
       : runs_(runs), options_(options), alarm_(alarm_level(options.false_alarm)) {}
 
   /// All candidates beside a hypothesis, the promising ones fitted, best first. One that gains less than
-  /// `material` does not matter. `taken_out`: what the hypothesis lacks of a fuller model, if it does.
-  std::vector<Candidate> judge(const Hypothesis& hypothesis, const TakenOut* taken_out, double material,
+  /// `material` does not matter. `known`: one of them that is fitted to the end, if there is one.
+  std::vector<Candidate> judge(const Hypothesis& hypothesis, const KnownFit* known, double material,
                                double from, double to, const std::string& words) {
     const std::size_t others = hypothesis.estimate.parameters.effects.size();
     const std::size_t most_fits = others == 0 ? kMostFits : kMostLaterFits;
@@ -110,13 +112,13 @@ class Selector {
           candidates[i].predicted_gain >= kLeastPromised * material)
         worth.push_back(i);
     const bool stuck = !worth.empty() && is_stuck(hypothesis);
-    const auto is_itself = [&](const Candidate& candidate) {
-      return taken_out != nullptr && candidate.effect == taken_out->values.effect;
+    const auto is_known = [&](const Candidate& candidate) {
+      return known != nullptr && candidate.effect == known->values.effect;
     };
     for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
       Candidate& candidate = candidates[worth[i]];
-      if (is_itself(candidate))
-        fit_from(taken_out->values, taken_out->others, hypothesis, candidate);
+      if (is_known(candidate))
+        fit_from(*known, hypothesis, candidate);
       else
         fit(candidate, hypothesis, stuck);
     });
@@ -126,28 +128,28 @@ class Selector {
         if (candidate.is_fitted) reached = std::max(reached, candidate.gain);
       return reached;
     };
-    if (taken_out != nullptr) {
+    if (known != nullptr) {
       const double fair = kFair * most();
       for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
         Candidate& candidate = candidates[worth[i]];
-        if (!is_itself(candidate) && candidate.fitted.possible() && candidate.gain > fair)
-          fit_from(candidate.fitted.estimate.parameters.effects.back(), taken_out->others, hypothesis,
+        if (!is_known(candidate) && candidate.fitted.possible() && candidate.gain > fair)
+          fit_from({candidate.fitted.estimate.parameters.effects.back(), known->others}, hypothesis,
                    candidate);
       });
     }
-    // It was fitted to the end before it was taken out; where others do as well it may have a better form.
+    // Where others do as well it may have a better form.
     bool settled = false;
     for (Candidate& candidate : candidates) {
-      if (!is_itself(candidate) || !candidate.is_fitted) continue;
+      if (!is_known(candidate) || !candidate.is_fitted) continue;
       settled = std::none_of(candidates.begin(), candidates.end(), [&](const Candidate& other) {
-        return !is_itself(other) && other.is_fitted && other.gain > candidate.gain - kClearly;
+        return !is_known(other) && other.is_fitted && other.gain > candidate.gain - kClearly;
       });
       if (!settled) fit(candidate, hypothesis, stuck);
     }
     const double reached = most();
     std::vector<std::size_t> leading;
     for (std::size_t i = 0; i < candidates.size(); ++i)
-      if (candidates[i].is_fitted && !(settled && is_itself(candidates[i])) &&
+      if (candidates[i].is_fitted && !(settled && is_known(candidates[i])) &&
           candidates[i].evidence > kNearAlarm * alarm(others) &&
           candidates[i].gain > std::min(kLeading * reached, reached - kFarBehind_nats))
         leading.push_back(i);
@@ -244,8 +246,14 @@ bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Sele
   for (const Selected& selected : selection.effects)
     if (selected.name != kSpikes) formed += selected.gain;
   const double next = selection.share + 0.5 * (0.95 - selection.share);
+  std::optional<KnownFit> known;
+  if (others > 0 && selection.stages.back().front().twice.possible()) {
+    Hypothesis twice = selection.stages.back().front().twice;
+    settle(twice);
+    known = known_fit(twice.estimate, others, selection.chosen);
+  }
   selection.stages.push_back(selector.judge(
-      selection.chosen, nullptr, kMaterial * formed, selection.share, next,
+      selection.chosen, known ? &*known : nullptr, kMaterial * formed, selection.share, next,
       others == 0 ? "trying every effect" : fmt::format("trying every effect beside {} found", others)));
   selection.share = next;
   const std::vector<Candidate>& candidates = selection.stages.back();
@@ -306,8 +314,7 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
         if (candidate.is_fitted && candidate.fitted.possible()) weigh(candidate, reduced);
       best_first(candidates);
     } else {
-      TakenOut taken_out{selection.chosen.estimate.parameters.effects[e], reduced};
-      taken_out.others.estimate = without_effect(selection.chosen.estimate, e);
+      const KnownFit taken_out = known_fit(selection.chosen.estimate, e, reduced);
       candidates =
           selector.judge(reduced, &taken_out, 0.0, selection.share, next, fmt::format("is {} needed?", name));
     }

@@ -144,15 +144,24 @@ class Presliding final : public EquationsOf<Presliding> {
     return steps < kMost ? std::max(1, static_cast<int>(steps)) : kMost;
   }
 
-  /// Of elasto-plastic bristles bent by this share of the level in the direction of motion, the share of the
-  /// motion that is sliding.
+  /// From this share of the level on elasto-plastic bristles slide at all; Dupont's own examples.
+  static constexpr double kBreakaway = 0.7;
+  /// Of those bent by this share of the level in the direction of motion, the share of the motion that is
+  /// sliding.
   template <class T>
   static T sliding_share(const T& built_up) {
-    constexpr double kBreakaway = 0.7;  // from which on they slide at all; Dupont's own examples
     if (built_up <= kBreakaway) return T(0.0);
     if (built_up >= 1.0) return T(1.0);
     using std::cos;
     return 0.5 - 0.5 * cos(std::numbers::pi / (1.0 - kBreakaway) * (built_up - kBreakaway));
+  }
+  /// After a stretch of b' = travel - rate b.
+  template <class T>
+  static T after(const T& from, const T& travel, const T& rate) {
+    using std::exp;
+    return std::abs(effects_detail::value_of(rate)) > 1e-4
+               ? T(from + (travel / rate - from) * (1.0 - exp(-rate)))
+               : T(from + travel - rate * from);
   }
   /// b' = 1 - sliding_share(b) b over a travel of `reaches`, both over the level's deflection, while the
   /// level grows steadily by the share `growth`.
@@ -160,14 +169,20 @@ class Presliding final : public EquationsOf<Presliding> {
   static T built_up_after(T built_up, T reaches, T growth) {
     constexpr double kSliding = 0.995;  // from here on all of the motion is, nearly
     constexpr double kLargest = 0.25, kFarthest = 4.0;
-    const auto closed = [](const T& from, const T& travel, const T& growing) {
-      // b' travel = travel - (travel + growing) b
-      const T rate = travel + growing;
-      using std::exp;
-      return std::abs(effects_detail::value_of(rate)) > 1e-4
-                 ? T(from + (travel / rate - from) * (1.0 - exp(-rate)))
-                 : T(from + travel - rate * from);
-    };
+    if (built_up < kBreakaway) {
+      // No sliding: the slope falls steadily up to the breakaway.
+      const T way = kBreakaway - built_up;
+      const T slowest = reaches - growth * kBreakaway;
+      const T bent = growth * way / slowest;
+      using std::log;
+      const T share = way / slowest *
+                      (std::abs(effects_detail::value_of(bent)) > 1e-4 ? T(log(1.0 + bent) / bent)
+                                                                       : T(1.0 - 0.5 * bent));
+      if (!(slowest > 0.0) || !(share < 1.0)) return after(built_up, reaches, growth);
+      built_up = T(kBreakaway);
+      reaches *= 1.0 - share;
+      growth *= 1.0 - share;
+    }
     const bool is_far = reaches > kFarthest;
     const T near = is_far ? T(kFarthest / reaches) : T(1.0);
     const double distance = is_far ? kFarthest : std::max(0.0, effects_detail::value_of(reaches));
@@ -185,7 +200,8 @@ class Presliding final : public EquationsOf<Presliding> {
     }
     if (taken == steps && !is_far) return built_up;
     const auto done = static_cast<double>(taken);
-    return closed(built_up, reaches - done * step, growth - done * growing);
+    const T left = reaches - done * step;
+    return after(built_up, left, T(left + growth - done * growing));
   }
 
   /// How far the bristles are bent, over the deflection: a function of the travel.
