@@ -123,6 +123,11 @@ class ExtendedFit {
   bool operator()(const double* unknowns, double* residuals, double* jacobian) const {
     Eigen::Map<Eigen::VectorXd> residual_rows(residuals, NumResiduals());
     const Eigen::Map<const Eigen::VectorXd> point(unknowns, NumParameters());
+    if (jacobian == nullptr && trying_) {
+      residual_rows.setZero();
+      residual_rows[0] = std::sqrt(std::min(squares_at(point), kImpossible));
+      return true;
+    }
     if (!evaluate(point)) {
       residual_rows.setConstant(std::sqrt(kImpossible / NumResiduals()));
       if (jacobian != nullptr)
@@ -146,6 +151,9 @@ class ExtendedFit {
     }
     return true;
   }
+
+  /// Whether points that are asked for their cost are mostly left again: then that is all that is computed.
+  void try_out(bool mostly) { trying_ = mostly; }
 
   double squares() const {
     double sum = 0.0;
@@ -297,6 +305,22 @@ class ExtendedFit {
     return now_.possible;
   }
 
+  /// What squares() is there.
+  double squares_at(const Eigen::VectorXd& point) const {
+    constexpr double kNever = std::numeric_limits<double>::infinity();
+    const ExtendedParameters model = model_at(point);
+    if (!point.allFinite() || !within_bounds(model)) return kNever;
+    const ExtendedBrake brake(model);
+    std::vector<double> squares(runs_.size());
+    for_each_index(runs_.size(), threads_, [&](std::size_t place) {
+      const std::size_t r = longest_first_[place];
+      const Eigen::VectorXd initial = point.segment(local(r), locals_);
+      squares[r] = squares_of(runs_[r], brake, initial, now_.runs[r]) +
+                   prior_squares(prior_, initial - centres_[r]);
+    });
+    return std::accumulate(squares.begin(), squares.end(), 0.0);
+  }
+
   /// Free states that no parameter pays for differ from run to run by their prior: the likelihood is its
   /// average over it (Laplace), or else each of them could follow the noise of its run for nothing.
   double cost_of_drawn_states(const Eigen::MatrixXd& normal) const {
@@ -327,6 +351,7 @@ class ExtendedFit {
   std::vector<int> drawn_;  ///< those of the locals that the prior draws for each run
   int parameters_ = 0;
   int locals_ = 2;
+  bool trying_ = false;
   mutable Evaluation now_, before_;
 };
 

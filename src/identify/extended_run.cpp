@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numbers>
 
 #include <Eigen/Cholesky>
@@ -227,6 +228,39 @@ bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedPara
   return true;
 }
 
+double squares_of(const FitRun& run, const ExtendedBrake& brake, const Eigen::VectorXd& initial,
+                  const ExtendedRun& linearised) {
+  constexpr double kNever = std::numeric_limits<double>::infinity();
+  const int n = linearised.states;
+  double jacobian[kMostStates * (kMostStates + ExtendedBrake::kMostParameters + 2)];
+  ExtendedBrake::State state = brake.settled(initial[0], initial[1], row_input(run, 0));
+  for (std::size_t f = 0; f < brake.free_states().size(); ++f)
+    state[brake.free_states()[f]] += initial[2 + static_cast<Eigen::Index>(f)];
+  double squares = 0.0;
+  for (std::size_t k = 0; k < linearised.rows; ++k) {
+    if (!ExtendedBrake::is_bounded(state)) return kNever;
+    const RowInput row = row_input(run, k);
+    const Reading reading = brake.read(state, row, jacobian);
+    double correction[kMostStates] = {};
+    for (int channel = 0; channel < 2; ++channel) {
+      if (!counts(run, k, channel)) continue;
+      const auto at = 2 * k + static_cast<std::size_t>(channel);
+      const double* by_state = jacobian + channel * (n + brake.parameters());
+      const double* gain = linearised.gain.data() + at * static_cast<std::size_t>(n);
+      double innovation =
+          reading_of(run, k, channel) - (channel == 0 ? reading.force_N : reading.velocity_rad_s);
+      for (int i = 0; i < n; ++i) innovation -= by_state[i] * correction[i];
+      for (int i = 0; i < n; ++i) correction[i] += gain[i] * innovation;
+      squares += innovation * innovation / linearised.variance[at];
+    }
+    if (k + 1 == linearised.rows) break;
+    for (int i = 0; i < n; ++i) state[i] += correction[i];
+    if (!ExtendedBrake::is_bounded(state)) return kNever;
+    state = brake.advance(state, row);
+  }
+  return squares;
+}
+
 namespace {
 
 /// Distances of the state from the reference along many columns, moved through a run by its filter.
@@ -315,6 +349,12 @@ std::vector<double> prior_deviations(const ExtendedParameters& model) {
                       info.free_state_deviation);
   }
   return deviations;
+}
+
+double prior_squares(std::span<const double> deviations, const Eigen::VectorXd& distance) {
+  return distance
+      .cwiseQuotient(Eigen::Map<const Eigen::VectorXd>(deviations.data(), distance.size()))
+      .squaredNorm();
 }
 
 void add_prior(std::span<const double> deviations, const Eigen::VectorXd& distance, int parameters,

@@ -78,6 +78,12 @@ bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedPara
                const Unknowns& unknowns, const Eigen::VectorXd& initial, const Variances& variances,
                Gains gains, ExtendedRun& out);
 
+/// The innovations' squares over their variance under the gains of a run linearised before: the last element
+/// of its normal equations, without the derivatives and for a small part of the time. Infinite where the
+/// state leaves all bounds.
+double squares_of(const FitRun& run, const ExtendedBrake& brake, const Eigen::VectorXd& initial,
+                  const ExtendedRun& linearised);
+
 /// [J e] and its normal equations under the gains.
 void compute_normal(const FitRun& run, ExtendedRun& out);
 
@@ -88,6 +94,9 @@ std::vector<double> prior_deviations(const ExtendedParameters& model);
 /// its centre.
 void add_prior(std::span<const double> deviations, const Eigen::VectorXd& distance, int parameters,
                Eigen::MatrixXd& normal);
+
+/// What it adds to the squares.
+double prior_squares(std::span<const double> deviations, const Eigen::VectorXd& distance);
 
 /// Normal equations of parameters and data when the locals follow.
 struct Reduced {

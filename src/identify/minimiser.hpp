@@ -21,6 +21,10 @@ inline constexpr double kNearTheEndEach = 0.035;
 /// Iterations in one go, far from the end; near it one at a time, to look whether anything is left to gain.
 inline constexpr int kRoundIterations = 8;
 
+/// Trust region (over the information) of a step that is Gauss-Newton's, and of the first one that is not.
+inline constexpr double kGaussNewton = 1e4;
+inline constexpr double kShorter = 1e2;
+
 /// Gauss-Newton steps to leap beyond a kink.
 inline constexpr double kFirstLeap = 1.0;
 inline constexpr double kLastLeap = 4.0;
@@ -55,7 +59,8 @@ struct Descent {
 };
 
 /// Minimises a fit from `unknowns` by ceres::TinySolver, whose functor the fit is; besides, it tells
-/// squares(), expected_decrease() and gauss_newton_step() at the point evaluated last.
+/// squares(), expected_decrease() and gauss_newton_step() at the point evaluated last; if it has a try_out(),
+/// that says whether most points will be left again.
 template <class Fit>
 class MinimiserOf {
  public:
@@ -77,6 +82,7 @@ Descent MinimiserOf<Fit>::descend(Fit& fit, Eigen::VectorXd& unknowns, int max_i
   Descent descent;
   descent.possible = fit.evaluate(unknowns);
   bool stalled = false;
+  bool has_stalled = false;
   while (descent.possible && descent.iterations < max_iterations) {
     const double expected = fit.expected_decrease();
     descent.at_kink = stalled && expected >= tolerance;
@@ -88,11 +94,14 @@ Descent MinimiserOf<Fit>::descend(Fit& fit, Eigen::VectorXd& unknowns, int max_i
     const int steps =
         std::min(stalled ? minimiser::kRoundIterations : 1, max_iterations - descent.iterations);
     solver_.options.max_num_iterations = 1 + steps;
+    solver_.options.initial_trust_region_radius = stalled ? minimiser::kShorter : minimiser::kGaussNewton;
+    if constexpr (requires { fit.try_out(true); }) fit.try_out(has_stalled);
     solver_.Solve(fit, &unknowns);
     descent.iterations += std::clamp(solver_.summary.iterations, 1, steps);
     descent.possible = fit.evaluate(unknowns);
     const bool stuck = stalled;
     stalled = !(before - fit.squares() > 0.1 * std::min(expected, 1.0));
+    has_stalled = has_stalled || stalled;
     if (stuck && stalled) {
       descent.settled = descent.at_kink = true;
       break;
