@@ -289,7 +289,8 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
     // Beside one period another stands out that the base model hides: perhaps that is the only one.
     Candidate beside;
     beside.effect = candidate.effect;
-    add_peaks(candidate.fitted, beside);
+    const Hypothesis& fitted = candidate.fitted;
+    add_peaks(fitted, filter_runs(fitted.runs, fitted.estimate, fitted.threads), beside);
     if (!beside.starts.empty() && beside.starts.front().predicted_gain > kStandsOut * candidate.gain &&
         room_for(candidate.fitted, {&beside.starts.front().values, 1})) {
       Hypothesis both = fitted_from(beside.starts.front(), candidate.fitted,

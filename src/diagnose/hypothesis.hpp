@@ -99,7 +99,7 @@ Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<c
 /// runs as they are.
 std::vector<Hypothesis> otherwise_chosen(const Hypothesis& hypothesis);
 
-/// Spikes: readings that are far off by themselves.
-Candidate look_for_outliers(const Hypothesis& hypothesis);
+/// Spikes: readings that are far off by themselves. `filtered`: the hypothesis's runs.
+Candidate look_for_outliers(const Hypothesis& hypothesis, std::span<const FilteredRun> filtered);
 
 }  // namespace clampd::diagnosing

@@ -189,6 +189,14 @@ bool is_neutral(const EffectValues& values) {
   return has_strength;
 }
 
+/// Whether it changes nothing as long as its free states, if it has such, are settled.
+bool is_silent(const EffectValues& values) {
+  const auto& parameters = info_of(*values.effect).parameters;
+  const bool has_strength = std::any_of(parameters.begin(), parameters.end(),
+                                        [](const auto& each) { return each.role == Role::Strength; });
+  return has_strength ? is_neutral(values) : info_of(*values.effect).free_states > 0;
+}
+
 /// Those that one linearisation can tell of.
 std::vector<std::vector<Look*>> looks_together(const Hypothesis& hypothesis, std::vector<Look>& looks) {
   std::vector<std::vector<Look*>> batches;
@@ -200,7 +208,7 @@ std::vector<std::vector<Look*>> looks_together(const Hypothesis& hypothesis, std
     effects.clear();
   };
   for (Look& look : looks) {
-    if (!is_neutral(look.values) || info_of(*look.values.effect).free_states > 0) {
+    if (!is_silent(look.values)) {
       batches.push_back({&look});
       continue;
     }
@@ -261,9 +269,7 @@ bool is_scanned(const Effect& effect) {
   return info_of(effect).name == "cogging";
 }
 
-void add_peaks(const Hypothesis& hypothesis, Candidate& candidate) {
-  const std::vector<FilteredRun> filtered =
-      filter_runs(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
+void add_peaks(const Hypothesis& hypothesis, std::span<const FilteredRun> filtered, Candidate& candidate) {
   if (filtered.empty()) return;
   const SignalScorer scorer(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
   const Orders all{kScanFirst, kScanStep,
@@ -314,6 +320,8 @@ std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypot
   std::vector<Candidate> candidates(tried.size());
   std::vector<Look> looks;
   std::vector<std::function<void()>> work;
+  const std::vector<FilteredRun> filtered =
+      filter_runs(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
   for (std::size_t i = 0; i < tried.size(); ++i) {
     Candidate& candidate = candidates[i];
     const Effect& effect = *tried[i];
@@ -321,9 +329,9 @@ std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypot
     candidate.degrees = degrees_of(effect, hypothesis.runs.size());
     candidate.alternatives = choices_of(effect);
     if (info_of(effect).name == kSpikes) {
-      work.emplace_back([&] { candidate = look_for_outliers(hypothesis); });
+      work.emplace_back([&] { candidate = look_for_outliers(hypothesis, filtered); });
     } else if (is_scanned(effect)) {
-      work.emplace_back([&] { add_peaks(hypothesis, candidate); });
+      work.emplace_back([&] { add_peaks(hypothesis, filtered, candidate); });
     } else {
       for (std::vector<double>& values : combinations(effect, recorded))
         looks.push_back({i, {&effect, std::move(values)}, {}});

@@ -23,7 +23,7 @@ bool is_scanned(const Effect& effect);
 
 /// Starts at the peaks of what a scan over the orders promises. Runs over a short stretch of the motor angle
 /// make peaks beside the true one, too close for the scan, that a fit does not leave: the best are looked at
-/// closely.
-void add_peaks(const Hypothesis& hypothesis, Candidate& candidate);
+/// closely. `filtered`: the hypothesis's runs.
+void add_peaks(const Hypothesis& hypothesis, std::span<const FilteredRun> filtered, Candidate& candidate);
 
 }  // namespace clampd::diagnosing

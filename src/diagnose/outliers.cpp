@@ -23,10 +23,12 @@ class SpikeSearch {
  public:
   SpikeSearch(const Hypothesis& hypothesis, int channel) : channel_(channel), found_(hypothesis) {}
 
-  bool run() {
+  bool run(std::span<const FilteredRun> first) {
+    std::vector<FilteredRun> filtered;
     for (int round = 0; round < kMostRounds; ++round) {
-      const std::vector<FilteredRun> filtered = filter_runs(found_.runs, found_.estimate, found_.threads);
-      if (filtered.empty() || !mark(filtered)) break;
+      if (round > 0) filtered = filter_runs(found_.runs, found_.estimate, found_.threads);
+      const std::span<const FilteredRun> now = round > 0 ? filtered : first;
+      if (now.empty() || !mark(now)) break;
       if (static_cast<double>(spikes_.size()) > kLargestShare * readings()) return false;
       refit(found_);
       if (!found_.possible()) return false;
@@ -77,7 +79,7 @@ class SpikeSearch {
     return count;
   }
 
-  bool mark(const std::vector<FilteredRun>& filtered) {
+  bool mark(std::span<const FilteredRun> filtered) {
     std::vector<double> all;
     for (const FilteredRun& run : filtered)
       all.insert(all.end(), innovations(run).begin(), innovations(run).end());
@@ -100,7 +102,7 @@ class SpikeSearch {
 
 }  // namespace
 
-Candidate look_for_outliers(const Hypothesis& hypothesis) {
+Candidate look_for_outliers(const Hypothesis& hypothesis, std::span<const FilteredRun> filtered) {
   Candidate best;
   best.effect = find_effect(kSpikes);
   best.degrees = 2.0;
@@ -108,7 +110,7 @@ Candidate look_for_outliers(const Hypothesis& hypothesis) {
   best.is_fitted = true;
   for (int channel = 0; channel < 2; ++channel) {
     SpikeSearch search(hypothesis, channel);
-    if (!search.run()) continue;
+    if (!search.run(filtered)) continue;
     Hypothesis found = search.result();
     found.degrees += best.degrees;
     const double gain = found.log_likelihood() - hypothesis.log_likelihood();

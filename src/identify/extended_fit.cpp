@@ -37,6 +37,12 @@ double limited(double logarithmic_step) {
   return std::clamp(logarithmic_step, -0.7, 0.7);
 }
 
+/// Some of a fit's unknowns: parameters, and locals of each run.
+struct Part {
+  std::vector<Eigen::Index> parameters;
+  std::vector<int> locals;
+};
+
 /// The innovations of all runs as a function of the unknowns, for ceres::TinySolver, with gains that stay as
 /// they are; as JointFit, but for any model. Unknowns: parameters, then each run's locals.
 class ExtendedFit {
@@ -160,11 +166,13 @@ class ExtendedFit {
     for (const Eigen::MatrixXd& normal : now_.normals) sum += normal(normal.rows() - 1, normal.cols() - 1);
     return sum;
   }
-  double log_likelihood() const {
+  double log_likelihood() const { return log_likelihood(everything()); }
+  /// Of the model that has only a part of the locals.
+  double log_likelihood(const Part& part) const {
     double sum = squares();
     for (const ExtendedRun& run : now_.runs)
       sum += run.log_determinant + run.readings * std::log(2.0 * std::numbers::pi);
-    for (const Eigen::MatrixXd& normal : now_.normals) sum += cost_of_drawn_states(normal);
+    for (const Eigen::MatrixXd& normal : now_.normals) sum += cost_of_drawn_states(normal, part.locals);
     return -0.5 * sum;
   }
   double readings() const {
@@ -177,10 +185,17 @@ class ExtendedFit {
   Reduced reduced(std::size_t run) const { return without_locals(now_.normals[run], parameters_, locals_); }
 
   /// Of all runs.
-  Reduced joint() const {
-    Reduced joint{Eigen::MatrixXd::Zero(parameters_, parameters_), Eigen::VectorXd::Zero(parameters_)};
-    for (std::size_t r = 0; r < runs_.size(); ++r) {
-      const Reduced run = reduced(r);
+  Reduced joint() const { return joint(everything()); }
+  /// The same if there were no other parameters and locals.
+  Reduced joint(const Part& part) const {
+    const auto count = static_cast<Eigen::Index>(part.parameters.size());
+    std::vector<Eigen::Index> which = part.parameters;
+    for (const int local : part.locals) which.push_back(parameters_ + local);
+    which.push_back(parameters_ + locals_);
+    Reduced joint{Eigen::MatrixXd::Zero(count, count), Eigen::VectorXd::Zero(count)};
+    for (const Eigen::MatrixXd& normal : now_.normals) {
+      const Reduced run =
+          without_locals(normal(which, which), static_cast<int>(count), static_cast<int>(part.locals.size()));
       joint.information += run.information;
       joint.gradient += run.gradient;
       joint.squares += run.squares;
@@ -255,6 +270,14 @@ class ExtendedFit {
     return scaled.ldlt().solve(gradient.cwiseQuotient(scale)).cwiseQuotient(scale);
   }
 
+  Part everything() const {
+    Part all{std::vector<Eigen::Index>(static_cast<std::size_t>(parameters_)),
+             std::vector<int>(static_cast<std::size_t>(locals_))};
+    std::iota(all.parameters.begin(), all.parameters.end(), 0);
+    std::iota(all.locals.begin(), all.locals.end(), 0);
+    return all;
+  }
+
   std::span<const ExtendedRun> linear_runs() const { return now_.runs; }
   std::vector<ExtendedRun>& mutable_runs() { return now_.runs; }
   const Unknowns& unknowns() const { return unknowns_; }
@@ -323,18 +346,18 @@ class ExtendedFit {
 
   /// Free states that no parameter pays for differ from run to run by their prior: the likelihood is its
   /// average over it (Laplace), or else each of them could follow the noise of its run for nothing.
-  double cost_of_drawn_states(const Eigen::MatrixXd& normal) const {
+  double cost_of_drawn_states(const Eigen::MatrixXd& normal, const std::vector<int>& locals) const {
     if (drawn_.empty()) return 0.0;
-    const Eigen::MatrixXd all = normal.block(parameters_, parameters_, locals_, locals_);
+    const auto block = normal.block(parameters_, parameters_, locals_, locals_);
     std::vector<int> others;
     double cost = 0.0;
-    for (int i = 0; i < locals_; ++i) {
+    for (const int i : locals) {
       if (std::find(drawn_.begin(), drawn_.end(), i) == drawn_.end())
         others.push_back(i);
       else
         cost += 2.0 * std::log(prior_[static_cast<std::size_t>(i)]);
     }
-    return cost + log_determinant(all) - log_determinant(all(others, others));
+    return cost + log_determinant(block(locals, locals)) - log_determinant(block(others, others));
   }
   static double log_determinant(const Eigen::MatrixXd& matrix) {
     return matrix.ldlt().vectorD().array().max(1e-300).log().sum();
@@ -397,16 +420,15 @@ StepForecast nothing_foreseen() {
   return {kNever, kNever, {}, {}};
 }
 
-/// A step of these parameters of a fit that was just renewed, the others staying.
-StepForecast forecast_of(const ExtendedFit& fit, const ExtendedParameters& model, const Reduced& joint,
-                         const std::vector<Eigen::Index>& which) {
-  const Eigen::MatrixXd information = joint.information(which, which);
-  const Eigen::VectorXd gradient = joint.gradient(which);
-  const Eigen::VectorXd move = -ExtendedFit::solve(information, gradient);
-  StepForecast result{fit.log_likelihood(), 0.0, move, deviations_of(information)};
-  result.after_step = result.log_likelihood + 0.5 * (fit.squares() - joint.squares - gradient.dot(move));
-  for (std::size_t i = 0; i < which.size(); ++i) {
-    const int unknown = static_cast<int>(which[i]);
+/// A step of this part of a fit that was just renewed, the rest staying.
+StepForecast forecast_of(const ExtendedFit& fit, const ExtendedParameters& model, const Part& part) {
+  const Reduced joint = fit.joint(part);
+  const Eigen::VectorXd move = -ExtendedFit::solve(joint.information, joint.gradient);
+  StepForecast result{fit.log_likelihood(part), 0.0, move, deviations_of(joint.information)};
+  result.after_step =
+      result.log_likelihood + 0.5 * (fit.squares() - joint.squares - joint.gradient.dot(move));
+  for (std::size_t i = 0; i < part.parameters.size(); ++i) {
+    const int unknown = static_cast<int>(part.parameters[i]);
     const auto at = static_cast<Eigen::Index>(i);
     const double slope = fit.unknowns().slope(model, unknown);
     if (fit.unknowns().is_logarithmic(unknown)) result.step[at] = limited(move[at]);
@@ -589,9 +611,7 @@ StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& esti
   if (!within_bounds(estimate.parameters)) return nothing_foreseen();
   ExtendedFit fit(runs, estimate, {}, threads);
   if (!fit.renew(fit.start(), variances_of(estimate.noise))) return nothing_foreseen();
-  std::vector<Eigen::Index> all(static_cast<std::size_t>(fit.parameters()));
-  std::iota(all.begin(), all.end(), 0);
-  return forecast_of(fit, estimate.parameters, fit.joint(), all);
+  return forecast_of(fit, estimate.parameters, fit.everything());
 }
 
 std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
@@ -602,17 +622,22 @@ std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const Exte
   if (!within_bounds(extended.parameters)) return forecasts;
   ExtendedFit fit(runs, extended, {}, threads);
   if (!fit.renew(fit.start(), variances_of(estimate.noise))) return forecasts;
-  const Reduced joint = fit.joint();
   const ExtendedBrake brake(extended.parameters);
   const auto present = static_cast<int>(estimate.parameters.effects.size());
+  Part known;
+  for (std::size_t i = 0; i < brake.places().size(); ++i)
+    if (brake.places()[i].effect < present) known.parameters.push_back(static_cast<Eigen::Index>(i));
+  int local = 2;
+  for (const EffectValues& values : estimate.parameters.effects) local += info_of(*values.effect).free_states;
+  known.locals.resize(static_cast<std::size_t>(local));
+  std::iota(known.locals.begin(), known.locals.end(), 0);
   for (std::size_t e = 0; e < effects.size(); ++e) {
-    std::vector<Eigen::Index> which;
-    for (std::size_t i = 0; i < brake.places().size(); ++i) {
-      const int effect = brake.places()[i].effect;
-      if (effect < present || effect == present + static_cast<int>(e))
-        which.push_back(static_cast<Eigen::Index>(i));
-    }
-    forecasts[e] = forecast_of(fit, extended.parameters, joint, which);
+    Part part = known;
+    for (std::size_t i = 0; i < brake.places().size(); ++i)
+      if (brake.places()[i].effect == present + static_cast<int>(e))
+        part.parameters.push_back(static_cast<Eigen::Index>(i));
+    for (int i = 0; i < info_of(*effects[e].effect).free_states; ++i) part.locals.push_back(local++);
+    forecasts[e] = forecast_of(fit, extended.parameters, part);
   }
   return forecasts;
 }

@@ -68,18 +68,12 @@ TEST(ExtendedFit, AStepForecastsWhatTheFitBrings) {
 }
 
 /// What one linearisation of all effects that are there in name only tells of each.
-TEST(ExtendedFit, ManyEffectsAtNeutralAreForeseenTogetherAsAlone) {
+void expect_the_same_together_as_alone(const std::vector<EffectValues>& effects) {
   const std::vector<clampd::Run> runs = runs_of("force-lag", 21, 5);
   const ExtendedEstimate base =
       with_effect(fit_base(runs, BrakeParameters{}), {find_effect("backlash"), {0.05}});
   ASSERT_TRUE(base.possible);
   const std::vector<FitRun> fitted = fit_runs(runs);
-  const std::vector<EffectValues> effects{{find_effect("force-lag"), {0.0}},
-                                          {find_effect("torque-gain"), {0.0}},
-                                          {find_effect("friction-asymmetry"), {0.0, 0.0, 1.0}},
-                                          {find_effect("stiffness-hysteresis"), {0.0, 0.1, 1.0}},
-                                          {find_effect("stiffness-hysteresis"), {0.0, 2.5, 1.0}},
-                                          {find_effect("channel-skew"), {0.0, 0.0, 2.0}}};
   const std::vector<StepForecast> together = forecast_each(fitted, base, effects);
   ASSERT_EQ(together.size(), effects.size());
   for (std::size_t e = 0; e < effects.size(); ++e) {
@@ -94,6 +88,22 @@ TEST(ExtendedFit, ManyEffectsAtNeutralAreForeseenTogetherAsAlone) {
       EXPECT_NEAR(together[e].sd[i], alone.sd[i], 1e-4 * alone.sd[i]) << name << " " << i;
     }
   }
+}
+
+TEST(ExtendedFit, ManyEffectsAtNeutralAreForeseenTogetherAsAlone) {
+  expect_the_same_together_as_alone({{find_effect("force-lag"), {0.0}},
+                                     {find_effect("torque-gain"), {0.0}},
+                                     {find_effect("friction-asymmetry"), {0.0, 0.0, 1.0}},
+                                     {find_effect("stiffness-hysteresis"), {0.0, 0.1, 1.0}},
+                                     {find_effect("stiffness-hysteresis"), {0.0, 2.5, 1.0}},
+                                     {find_effect("channel-skew"), {0.0, 0.0, 2.0}}});
+}
+
+/// Those of a hum count, a relaxing pad's are drawn from their prior.
+TEST(ExtendedFit, EffectsWithFreeStatesAreForeseenTogetherAsAlone) {
+  expect_the_same_together_as_alone({{find_effect("force-hum"), {50.0}},
+                                     {find_effect("pad-relaxation"), {0.0, 0.15}},
+                                     {find_effect("force-hum"), {120.0}}});
 }
 
 /// The largest factor by which standard deviations grow for how far the runs contradict each other.

@@ -85,7 +85,7 @@ StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& esti
                       const SpareThreads& threads = {});
 
 /// That of with_effect(estimate, effect) for each of several effects, all from one linearisation: at values
-/// that change nothing, the brake's motion or another effect, and without free states.
+/// and settled states that change nothing, neither the brake's motion nor a reading nor another effect.
 std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
                                         std::span<const EffectValues> effects,
                                         const SpareThreads& threads = {});

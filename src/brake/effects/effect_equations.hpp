@@ -49,10 +49,10 @@ struct Own {
 /// before it, not on what was named first.
 std::vector<std::size_t> chain_of(const std::vector<EffectValues>& effects);
 
-/// A parameter of the role Choice or Refinement, as the enumerator that it numbers.
+/// A parameter of the role Choice or Refinement, as the enumerator that it numbers; they count from one.
 template <class Enumeration, class T>
 Enumeration chosen(const T& parameter) {
-  return static_cast<Enumeration>(std::lround(value_of(parameter)));
+  return static_cast<Enumeration>(static_cast<int>(value_of(parameter) + 0.5));
 }
 
 /// From the torque reading to the torque that acts until the next row.
