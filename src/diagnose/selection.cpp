@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <optional>
 
 #include <fmt/format.h>
 
@@ -64,34 +63,46 @@ bool can_be_added(const Hypothesis& hypothesis, const Effect& effect) {
   return room_for(hypothesis, {&values, 1});
 }
 
-/// Whether a further effect of the same name is a harmonic of one that is there.
-bool is_harmonic(const Candidate& candidate, const Hypothesis& hypothesis) {
-  if (!candidate.fitted.possible()) return false;
-  const double order = candidate.fitted.estimate.parameters.effects.back().values.back();
+/// Whether these values of an effect are a harmonic of one of the same name that is there.
+bool is_harmonic(const EffectValues& values, const Hypothesis& hypothesis) {
+  const double order = values.values.back();
   for (const EffectValues& present : hypothesis.estimate.parameters.effects) {
-    if (present.effect != candidate.effect) continue;
+    if (present.effect != values.effect) continue;
     const double ratio = std::max(order, present.values.back()) / std::min(order, present.values.back());
     if (ratio > 1.5 && std::abs(ratio - std::round(ratio)) < kHarmonic * ratio) return true;
   }
   return false;
 }
 
-/// The effect of a model that is fitted, and the others as they are there, as fits of a hypothesis that lacks it.
-KnownFit known_fit(const ExtendedEstimate& fuller, std::size_t effect, const Hypothesis& hypothesis) {
-  KnownFit known{fuller.parameters.effects[effect], hypothesis};
-  known.others.estimate = without_effect(fuller, effect);
-  return known;
+/// Leaves a further effect of the same name only the starts that it may be named for.
+void keep_harmonics(const Hypothesis& hypothesis, Candidate& candidate) {
+  std::erase_if(candidate.starts, [&](const Start& start) { return !is_harmonic(start.values, hypothesis); });
+  candidate.predicted_gain = candidate.starts.empty() ? 0.0 : candidate.starts.front().predicted_gain;
+  candidate.predicted_evidence =
+      evidence_of(candidate.predicted_gain, candidate.degrees, candidate.alternatives);
 }
+
+/// What to judge the candidates by.
+struct Question {
+  const Hypothesis& hypothesis;  ///< beside which
+  std::string words;             ///< for who waits
+  double until = 0.0;            ///< share of the whole work that is done then
+  double material = 0.0;         ///< one that gains less does not matter
+  /// An effect that a fuller model, fitted to the end, has and the hypothesis lacks.
+  const KnownFit* taken_out = nullptr;
+  /// The hypothesis and a further effect, if it was fitted on the way.
+  const Hypothesis* begun = nullptr;
+};
 
 class Selector {
  public:
   Selector(std::span<const Run> runs, const SelectionOptions& options)
       : runs_(runs), options_(options), alarm_(alarm_level(options.false_alarm)) {}
 
-  /// All candidates beside a hypothesis, the promising ones fitted, best first. One that gains less than
-  /// `material` does not matter. `known`: one of them that is fitted to the end, if there is one.
-  std::vector<Candidate> judge(const Hypothesis& hypothesis, const KnownFit* known, double material,
-                               double from, double to, const std::string& words) {
+  /// All candidates beside a hypothesis, the promising ones fitted, best first.
+  std::vector<Candidate> judge(const Question& question, double& share) {
+    const Hypothesis& hypothesis = question.hypothesis;
+    const KnownFit* taken_out = question.taken_out;
     const std::size_t others = hypothesis.estimate.parameters.effects.size();
     const std::size_t most_fits = others == 0 ? kMostFits : kMostLaterFits;
     std::vector<const Effect*> tried;
@@ -99,7 +110,9 @@ class Selector {
       if ((!has(hypothesis, *effect) || info_of(*effect).repeatable) && can_be_added(hypothesis, *effect))
         tried.push_back(effect);
     std::vector<Candidate> candidates = look_at(tried, hypothesis, runs_);
-    report(from + 0.4 * (to - from), words);
+    for (Candidate& candidate : candidates)
+      if (has(hypothesis, *candidate.effect)) keep_harmonics(hypothesis, candidate);
+    report(share + 0.4 * (question.until - share), question.words);
     const auto by_promise = [](const Candidate& a, const Candidate& b) {
       return a.predicted_evidence > b.predicted_evidence;
     };
@@ -109,16 +122,20 @@ class Selector {
     for (std::size_t i = 0; i < candidates.size() && worth.size() < most_fits; ++i)
       if (!candidates[i].is_fitted &&
           candidates[i].predicted_evidence > std::max(alarm_ - kBelowAlarm, kPromising * best) &&
-          candidates[i].predicted_gain >= kLeastPromised * material)
+          candidates[i].predicted_gain >= kLeastPromised * question.material)
         worth.push_back(i);
     const bool stuck = !worth.empty() && is_stuck(hypothesis);
-    const auto is_known = [&](const Candidate& candidate) {
-      return known != nullptr && candidate.effect == known->values.effect;
+    const auto is_itself = [&](const Candidate& candidate) {
+      return taken_out != nullptr && candidate.effect == taken_out->values.effect;
     };
+    for (const std::size_t i : worth)
+      if (question.begun != nullptr &&
+          candidates[i].effect == question.begun->estimate.parameters.effects.back().effect)
+        candidates[i].fitted = *question.begun;
     for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
       Candidate& candidate = candidates[worth[i]];
-      if (is_known(candidate))
-        fit_from(*known, hypothesis, candidate);
+      if (is_itself(candidate))
+        fit_from(*taken_out, hypothesis, candidate);
       else
         fit(candidate, hypothesis, stuck);
     });
@@ -128,37 +145,39 @@ class Selector {
         if (candidate.is_fitted) reached = std::max(reached, candidate.gain);
       return reached;
     };
-    if (known != nullptr) {
+    if (taken_out != nullptr) {
       const double fair = kFair * most();
       for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
         Candidate& candidate = candidates[worth[i]];
-        if (!is_known(candidate) && candidate.fitted.possible() && candidate.gain > fair)
-          fit_from({candidate.fitted.estimate.parameters.effects.back(), known->others}, hypothesis,
+        if (!is_itself(candidate) && candidate.fitted.possible() && candidate.gain > fair)
+          fit_from({candidate.fitted.estimate.parameters.effects.back(), taken_out->others}, hypothesis,
                    candidate);
       });
     }
-    // Where others do as well it may have a better form.
+    // It was fitted to the end before it was taken out; where others do as well it may have a better form.
     bool settled = false;
     for (Candidate& candidate : candidates) {
-      if (!is_known(candidate) || !candidate.is_fitted) continue;
+      if (!is_itself(candidate) || !candidate.is_fitted) continue;
       settled = std::none_of(candidates.begin(), candidates.end(), [&](const Candidate& other) {
-        return !is_known(other) && other.is_fitted && other.gain > candidate.gain - kClearly;
+        return !is_itself(other) && other.is_fitted && other.gain > candidate.gain - kClearly;
       });
       if (!settled) fit(candidate, hypothesis, stuck);
     }
     const double reached = most();
     std::vector<std::size_t> leading;
     for (std::size_t i = 0; i < candidates.size(); ++i)
-      if (candidates[i].is_fitted && !(settled && is_known(candidates[i])) &&
+      if (candidates[i].is_fitted && !(settled && is_itself(candidates[i])) &&
           candidates[i].evidence > kNearAlarm * alarm(others) &&
           candidates[i].gain > std::min(kLeading * reached, reached - kFarBehind_nats))
         leading.push_back(i);
     for_each_index(leading.size(), hypothesis.threads,
                    [&](std::size_t i) { finish(candidates[leading[i]], hypothesis); });
     for (Candidate& candidate : candidates)
-      if (candidate.is_fitted && has(hypothesis, *candidate.effect) && !is_harmonic(candidate, hypothesis))
+      if (candidate.is_fitted && candidate.fitted.possible() && has(hypothesis, *candidate.effect) &&
+          !is_harmonic(candidate.fitted.estimate.parameters.effects.back(), hypothesis))
         candidate.fitted.estimate.possible = false;
-    report(to, words);
+    share = question.until;
+    report(share, question.words);
     best_first(candidates);
     return candidates;
   }
@@ -245,17 +264,18 @@ bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Sele
   double formed = 0.0;
   for (const Selected& selected : selection.effects)
     if (selected.name != kSpikes) formed += selected.gain;
-  const double next = selection.share + 0.5 * (0.95 - selection.share);
-  std::optional<KnownFit> known;
-  if (others > 0 && selection.stages.back().front().twice.possible()) {
-    Hypothesis twice = selection.stages.back().front().twice;
-    settle(twice);
-    known = known_fit(twice.estimate, others, selection.chosen);
+  Question question{.hypothesis = selection.chosen,
+                    .words = "trying every effect",
+                    .until = selection.share + 0.5 * (0.95 - selection.share),
+                    .material = kMaterial * formed};
+  if (others > 0) {
+    question.words = fmt::format("trying every effect beside {} found", others);
+    const Candidate& added = selection.stages.back().front();
+    if (added.twice.possible() &&
+        is_harmonic(added.twice.estimate.parameters.effects.back(), selection.chosen))
+      question.begun = &added.twice;
   }
-  selection.stages.push_back(selector.judge(
-      selection.chosen, known ? &*known : nullptr, kMaterial * formed, selection.share, next,
-      others == 0 ? "trying every effect" : fmt::format("trying every effect beside {} found", others)));
-  selection.share = next;
+  selection.stages.push_back(selector.judge(question, selection.share));
   const std::vector<Candidate>& candidates = selection.stages.back();
   if (candidates.empty() || !selector.is_alarm(candidates.front(), others)) return false;
   const Candidate& best = candidates.front();
@@ -306,19 +326,23 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
       e = 0;
       continue;
     }
-    const double next = selection.share + 0.4 * (0.97 - selection.share);
+    const double until = selection.share + 0.4 * (0.97 - selection.share);
     std::vector<Candidate> candidates;
     if (as_before) {
       candidates = selection.stages[e];
       for (Candidate& candidate : candidates)
         if (candidate.is_fitted && candidate.fitted.possible()) weigh(candidate, reduced);
       best_first(candidates);
+      selection.share = until;
     } else {
-      const KnownFit taken_out = known_fit(selection.chosen.estimate, e, reduced);
-      candidates =
-          selector.judge(reduced, &taken_out, 0.0, selection.share, next, fmt::format("is {} needed?", name));
+      KnownFit taken_out{selection.chosen.estimate.parameters.effects[e], reduced};
+      taken_out.others.estimate = without_effect(selection.chosen.estimate, e);
+      candidates = selector.judge({.hypothesis = reduced,
+                                   .words = fmt::format("is {} needed?", name),
+                                   .until = until,
+                                   .taken_out = &taken_out},
+                                  selection.share);
     }
-    selection.share = next;
     const auto itself = std::find_if(candidates.begin(), candidates.end(),
                                      [&](const Candidate& candidate) { return candidate.name() == name; });
     // A fit of the same name may have ended higher than where the search came from.
