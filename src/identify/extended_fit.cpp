@@ -111,7 +111,7 @@ class ExtendedFit {
   /// The gains of extended Kalman filters at this point from here on; it is evaluated then.
   bool renew(const Eigen::VectorXd& point, const Variances& variances) {
     invalidate();
-    if (!linearise_at(point, variances, Gains::Renewed)) return false;
+    if (!linearise_at(inside(point), variances, Gains::Renewed)) return false;
     for (std::size_t r = 0; r < runs_.size(); ++r) {
       before_.runs[r].gain = now_.runs[r].gain;
       before_.runs[r].variance = now_.runs[r].variance;
@@ -119,7 +119,16 @@ class ExtendedFit {
     return true;
   }
 
-  bool evaluate(const Eigen::VectorXd& point) const {
+  /// The nearest point within the parameters' bounds, which a search may ask beyond of: there the model is the
+  /// one at the bound.
+  Eigen::VectorXd inside(Eigen::VectorXd point) const {
+    for (int i = 0; i < parameters_; ++i)
+      point[i] = std::min(std::max(point[i], unknowns_.lower(i)), unknowns_.upper(i));
+    return point;
+  }
+
+  bool evaluate(const Eigen::VectorXd& anywhere) const {
+    const Eigen::VectorXd point = inside(anywhere);
     if (now_.point.size() == point.size() && point == now_.point) return now_.possible;
     std::swap(now_, before_);
     if (now_.point.size() == point.size() && point == now_.point) return now_.possible;
@@ -155,6 +164,7 @@ class ExtendedFit {
       jacobian_rows.block(first, local(r), size, locals_) = factor.middleCols(parameters_, locals_);
       residual_rows.segment(first, size) = factor.col(size - 1);
     }
+    for (const Eigen::Index i : step_of(everything()).held) jacobian_rows.col(i).setZero();
     return true;
   }
 
@@ -204,14 +214,21 @@ class ExtendedFit {
   }
   const Eigen::MatrixXd& normal(std::size_t run) const { return now_.normals[run]; }
 
-  double expected_decrease() const {
-    const Reduced all = joint();
-    return squares() - all.squares + all.gradient.dot(solve(all.information, all.gradient));
-  }
+  /// Gauss-Newton step of a part's parameters within their bounds, the locals following: those at a bound
+  /// that the others would take beyond stay, and the others go where they then go.
+  struct Step {
+    Eigen::VectorXd move;
+    std::vector<Eigen::Index> held;  ///< of the part's parameters; `move` has the way that they would go
+    double decrease;                 ///< of the squares
+  };
+  Step step_of(const Part& part) const { return step_of(part, joint(part)); }
+
+  double expected_decrease() const { return step_of(everything()).decrease; }
 
   void gauss_newton_step(Eigen::VectorXd& step) const {
-    const Reduced all = joint();
-    Eigen::VectorXd move = -solve(all.information, all.gradient);
+    Step all = step_of(everything());
+    for (const Eigen::Index i : all.held) all.move[i] = 0.0;
+    const Eigen::VectorXd& move = all.move;
     step.resize(NumParameters());
     for (int i = 0; i < parameters_; ++i) step[i] = unknowns_.is_logarithmic(i) ? limited(move[i]) : move[i];
     for (std::size_t r = 0; r < runs_.size(); ++r) {
@@ -301,12 +318,31 @@ class ExtendedFit {
     }
   }
 
+  Step step_of(const Part& part, const Reduced& joint) const {
+    Step step{-solve(joint.information, joint.gradient), {}, 0.0};
+    std::vector<Eigen::Index> left;
+    for (Eigen::Index i = 0; i < step.move.size(); ++i) {
+      const int unknown = static_cast<int>(part.parameters[static_cast<std::size_t>(i)]);
+      const double value = now_.point[unknown];
+      const bool outward = (step.move[i] < 0.0 && value <= unknowns_.lower(unknown)) ||
+                           (step.move[i] > 0.0 && value >= unknowns_.upper(unknown));
+      (outward ? step.held : left).push_back(i);
+    }
+    if (!step.held.empty()) {
+      const Eigen::VectorXd gradient = joint.gradient(left);
+      step.move(left) = -solve(joint.information(left, left), gradient);
+      step.decrease = squares() - joint.squares - gradient.dot(step.move(left));
+    } else {
+      step.decrease = squares() - joint.squares - joint.gradient.dot(step.move);
+    }
+    return step;
+  }
+
   bool linearise_at(const Eigen::VectorXd& point, const Variances& variances, Gains gains) const {
     now_.point = point;
     now_.possible = false;
     if (!point.allFinite()) return false;
     const ExtendedParameters model = model_at(point);
-    if (!within_bounds(model)) return false;
     const ExtendedBrake brake(model);
     std::atomic<bool> possible{true};
     for_each_index(runs_.size(), threads_, [&](std::size_t place) {
@@ -331,8 +367,8 @@ class ExtendedFit {
   /// What squares() is there.
   double squares_at(const Eigen::VectorXd& point) const {
     constexpr double kNever = std::numeric_limits<double>::infinity();
+    if (!point.allFinite()) return kNever;
     const ExtendedParameters model = model_at(point);
-    if (!point.allFinite() || !within_bounds(model)) return kNever;
     const ExtendedBrake brake(model);
     std::vector<double> squares(runs_.size());
     for_each_index(runs_.size(), threads_, [&](std::size_t place) {
@@ -422,11 +458,10 @@ StepForecast nothing_foreseen() {
 
 /// A step of this part of a fit that was just renewed, the rest staying.
 StepForecast forecast_of(const ExtendedFit& fit, const ExtendedParameters& model, const Part& part) {
-  const Reduced joint = fit.joint(part);
-  const Eigen::VectorXd move = -ExtendedFit::solve(joint.information, joint.gradient);
-  StepForecast result{fit.log_likelihood(part), 0.0, move, deviations_of(joint.information)};
-  result.after_step =
-      result.log_likelihood + 0.5 * (fit.squares() - joint.squares - joint.gradient.dot(move));
+  const ExtendedFit::Step step = fit.step_of(part);
+  const Eigen::VectorXd& move = step.move;
+  StepForecast result{fit.log_likelihood(part), 0.0, move, deviations_of(fit.joint(part).information)};
+  result.after_step = result.log_likelihood + 0.5 * step.decrease;
   for (std::size_t i = 0; i < part.parameters.size(); ++i) {
     const int unknown = static_cast<int>(part.parameters[i]);
     const auto at = static_cast<Eigen::Index>(i);

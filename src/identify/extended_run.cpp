@@ -80,19 +80,24 @@ Unknowns::Unknowns(const ExtendedParameters& model, std::span<const ExtendedBrak
     if (place.effect < 0) {
       const auto parameter = static_cast<std::size_t>(place.parameter);
       if (held[parameter]) continue;
-      free_.push_back({static_cast<int>(i), place, positive_by_nature(place, nullptr),
-                       kParameterTable[parameter].nominal});
+      const ParameterInfo& info = kParameterTable[parameter];
+      free_.push_back({static_cast<int>(i), place, positive_by_nature(place, nullptr), info.nominal,
+                       info.lower, info.upper});
     } else if (!hold_effects) {
       const EffectParameter& parameter = parameter_at(model, place);
-      free_.push_back({static_cast<int>(i), place, positive_by_nature(place, &parameter), parameter.scale});
+      free_.push_back({static_cast<int>(i), place, positive_by_nature(place, &parameter), parameter.scale,
+                       parameter.lower, parameter.upper});
     }
   }
 }
 
-double Unknowns::from(const ExtendedParameters& model, int i) const {
+double Unknowns::in_units(int i, double value) const {
   const Free& free = free_[static_cast<std::size_t>(i)];
-  const double value = value_at(model, free.place);
   return free.logarithmic ? std::log(value) : value / free.scale;
+}
+
+double Unknowns::from(const ExtendedParameters& model, int i) const {
+  return in_units(i, value_at(model, free_[static_cast<std::size_t>(i)].place));
 }
 
 double Unknowns::slope(const ExtendedParameters& model, int i) const {
@@ -102,7 +107,8 @@ double Unknowns::slope(const ExtendedParameters& model, int i) const {
 
 void Unknowns::put(double unknown, int i, ExtendedParameters& model) const {
   const Free& free = free_[static_cast<std::size_t>(i)];
-  value_at(model, free.place) = free.logarithmic ? std::exp(unknown) : free.scale * unknown;
+  const double value = free.logarithmic ? std::exp(unknown) : free.scale * unknown;
+  value_at(model, free.place) = std::clamp(value, free.lower, free.upper);
 }
 
 bool within_bounds(const ExtendedParameters& model) {

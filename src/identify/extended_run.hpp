@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <span>
 #include <vector>
 
@@ -23,16 +24,24 @@ class Unknowns {
   double from(const ExtendedParameters& model, int i) const;
   /// d parameter / d unknown, at the model.
   double slope(const ExtendedParameters& model, int i) const;
+  /// Within the parameter's bounds, whatever the unknown is.
   void put(double unknown, int i, ExtendedParameters& model) const;
   bool is_logarithmic(int i) const { return free_[static_cast<std::size_t>(i)].logarithmic; }
+  /// Of the unknown, where the parameter is at a bound of its own.
+  double lower(int i) const { return std::min(at_lower(i), at_upper(i)); }
+  double upper(int i) const { return std::max(at_lower(i), at_upper(i)); }
 
  private:
   struct Free {
     int parameter;
     ExtendedBrake::Place place;
     bool logarithmic;
-    double scale;
+    double scale;  ///< of either sign
+    double lower, upper;
   };
+  double in_units(int i, double value) const;
+  double at_lower(int i) const { return in_units(i, free_[static_cast<std::size_t>(i)].lower); }
+  double at_upper(int i) const { return in_units(i, free_[static_cast<std::size_t>(i)].upper); }
   std::vector<Free> free_;
 };
 

@@ -60,7 +60,7 @@ struct Descent {
 
 /// Minimises a fit from `unknowns` by ceres::TinySolver, whose functor the fit is; besides, it tells
 /// squares(), expected_decrease() and gauss_newton_step() at the point evaluated last; if it has a try_out(),
-/// that says whether most points will be left again.
+/// that says whether most points will be left again; if it has an inside(), that is where the unknowns stay.
 template <class Fit>
 class MinimiserOf {
  public:
@@ -97,6 +97,7 @@ Descent MinimiserOf<Fit>::descend(Fit& fit, Eigen::VectorXd& unknowns, int max_i
     solver_.options.initial_trust_region_radius = stalled ? minimiser::kShorter : minimiser::kGaussNewton;
     if constexpr (requires { fit.try_out(true); }) fit.try_out(has_stalled);
     solver_.Solve(fit, &unknowns);
+    if constexpr (requires { fit.inside(unknowns); }) unknowns = fit.inside(unknowns);
     descent.iterations += std::clamp(solver_.summary.iterations, 1, steps);
     descent.possible = fit.evaluate(unknowns);
     const bool stuck = stalled;
