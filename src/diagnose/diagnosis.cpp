@@ -218,8 +218,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   if (!lost && reconsider(runs, selecting, selection)) look_at_the_rest();
   // Where the base model got stuck, an effect may have explained no more than the way out.
   if (!selection.effects.empty() && is_stuck(base)) {
-    Hypothesis bare = selection.chosen;
-    while (!bare.estimate.parameters.effects.empty()) bare = without(bare, 0, runs);
+    const Hypothesis bare = without_any(selection.chosen, runs);
     if (bare.possible())
       explained = std::min(explained, selection.chosen.log_likelihood() - bare.log_likelihood());
   }

@@ -158,6 +158,28 @@ void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std:
   }
 }
 
+/// The hypothesis without one of its effects, to be fitted.
+Hypothesis taken_out(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded) {
+  Hypothesis reduced;
+  reduced.threads = hypothesis.threads;
+  reduced.estimate = without_effect(hypothesis.estimate, effect);
+  const EffectValues& removed = hypothesis.estimate.parameters.effects[effect];
+  reduced.runs = hypothesis.runs;
+  reduced.unused_log_likelihood = hypothesis.unused_log_likelihood;
+  reduced.degrees = hypothesis.degrees - degrees_of(*removed.effect, recorded.size());
+  const EffectDelays delays = delays_of(removed);
+  if (!delays.none() || info_of(*removed.effect).name == kSpikes) {
+    // The readings as recorded, and then as the effects that are left see them.
+    reduced.runs = fit_runs(recorded);
+    reduced.unused_log_likelihood = 0.0;
+    for (const EffectValues& left : reduced.estimate.parameters.effects) {
+      move_by(delays_of(left), reduced.runs);
+    }
+  }
+  reduced.estimate.settled = false;
+  return reduced;
+}
+
 }  // namespace
 
 double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
@@ -326,6 +348,8 @@ void refit(Hypothesis& hypothesis, int max_iterations) {
 
 void settle(Hypothesis& hypothesis) {
   if (hypothesis.estimate.settled && promise_of(hypothesis) < kNotEnded_nats) return;
+  const double begun = hypothesis.estimate.settled ? hypothesis.log_likelihood()
+                                                   : -std::numeric_limits<double>::infinity();
   refit(hypothesis);
   /// Once more, from what `change` makes of the estimate; whether that helped.
   const auto again = [&](const auto& change) {
@@ -343,9 +367,10 @@ void settle(Hypothesis& hypothesis) {
   if (!hypothesis.estimate.settled && hypothesis.estimate.noise.torque_Nm > kModestTorque_Nm)
     again(believe_the_torque);
   // A kink can end a descent where a step promises more.
-  for (int more = 0; more < kMostMisses && hypothesis.possible() && promise_of(hypothesis) > kNotEnded_nats;
-       ++more)
-    if (!again([](ExtendedEstimate&) {})) break;
+  // What a fit from where it ended could not leave, another one from there cannot either.
+  bool moves = !hypothesis.estimate.settled || hypothesis.log_likelihood() > begun + kHelps_nats;
+  for (int more = 0; moves && more < kMostMisses && hypothesis.possible(); ++more)
+    moves = promise_of(hypothesis) > kNotEnded_nats && again([](ExtendedEstimate&) {});
   if (hypothesis.possible() && is_stuck(hypothesis))
     again([&](ExtendedEstimate& estimate) {
       estimate.parameters.base.theta = nominal_parameters();
@@ -354,25 +379,16 @@ void settle(Hypothesis& hypothesis) {
 }
 
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded) {
-  Hypothesis reduced;
-  reduced.threads = hypothesis.threads;
-  reduced.estimate = without_effect(hypothesis.estimate, effect);
-  const EffectValues& removed = hypothesis.estimate.parameters.effects[effect];
-  reduced.runs = hypothesis.runs;
-  reduced.unused_log_likelihood = hypothesis.unused_log_likelihood;
-  reduced.degrees = hypothesis.degrees - degrees_of(*removed.effect, recorded.size());
-  const EffectDelays delays = delays_of(removed);
-  if (!delays.none() || info_of(*removed.effect).name == kSpikes) {
-    // The readings as recorded, and then as the effects that are left see them.
-    reduced.runs = fit_runs(recorded);
-    reduced.unused_log_likelihood = 0.0;
-    for (const EffectValues& left : reduced.estimate.parameters.effects) {
-      move_by(delays_of(left), reduced.runs);
-    }
-  }
-  reduced.estimate.settled = false;
+  Hypothesis reduced = taken_out(hypothesis, effect, recorded);
   settle(reduced);
   return reduced;
+}
+
+Hypothesis without_any(const Hypothesis& hypothesis, std::span<const Run> recorded) {
+  Hypothesis bare = hypothesis;
+  while (!bare.estimate.parameters.effects.empty()) bare = taken_out(bare, 0, recorded);
+  settle(bare);
+  return bare;
 }
 
 std::vector<Hypothesis> otherwise_chosen(const Hypothesis& hypothesis) {

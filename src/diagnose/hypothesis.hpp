@@ -92,8 +92,9 @@ void settle(Hypothesis& hypothesis);
 /// Fits the hypothesis anew with its effects as they are.
 void refit(Hypothesis& hypothesis, int max_iterations = ExtendedFitOptions{}.max_iterations);
 
-/// The hypothesis without one of its effects, fitted.
+/// The hypothesis without one of its effects, or without any, fitted.
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded);
+Hypothesis without_any(const Hypothesis& hypothesis, std::span<const Run> recorded);
 
 /// The hypothesis with one of its effects' choices made otherwise, each fitted; only choices that leave the
 /// runs as they are.

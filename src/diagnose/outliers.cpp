@@ -29,17 +29,11 @@ class SpikeSearch {
       if (round > 0) filtered = filter_runs(found_.runs, found_.estimate, found_.threads);
       const std::span<const FilteredRun> now = round > 0 ? filtered : first;
       if (now.empty() || !mark(now)) break;
-      if (static_cast<double>(spikes_.size()) > kLargestShare * readings()) return false;
+      if (static_cast<double>(spikes_.size()) > kLargestShare * readings() || !stand_alone()) return false;
       refit(found_);
       if (!found_.possible()) return false;
     }
-    if (spikes_.empty()) return false;
-    std::size_t with_neighbour = 0;
-    for (const Spike& spike : spikes_)
-      with_neighbour += std::any_of(spikes_.begin(), spikes_.end(), [&](const Spike& other) {
-        return other.run == spike.run && (other.row == spike.row + 1 || other.row + 1 == spike.row);
-      });
-    return static_cast<double>(with_neighbour) <= kMostNeighbours * static_cast<double>(spikes_.size());
+    return !spikes_.empty() && stand_alone();
   }
 
   /// The spikes as a mixture: a share of the readings has a far larger noise.
@@ -72,6 +66,14 @@ class SpikeSearch {
     const FilteredRun& view = filtered[spike.run];
     return channel_ == 0 ? run.force_N[spike.row] - view.predicted_force_N[spike.row]
                          : run.velocity_rad_s[spike.row] - view.predicted_velocity_rad_s[spike.row];
+  }
+  bool stand_alone() const {
+    std::size_t with_neighbour = 0;
+    for (const Spike& spike : spikes_)
+      with_neighbour += std::any_of(spikes_.begin(), spikes_.end(), [&](const Spike& other) {
+        return other.run == spike.run && (other.row == spike.row + 1 || other.row + 1 == spike.row);
+      });
+    return static_cast<double>(with_neighbour) <= kMostNeighbours * static_cast<double>(spikes_.size());
   }
   double readings() const {
     double count = 0.0;
