@@ -33,6 +33,7 @@ constexpr double kStuck_nats = 30.0;
 constexpr double kNearBound = 5.0;
 /// A rough fit from elsewhere that is so much worse, per reading, will not come back.
 constexpr double kHopeless_nats = 0.1;
+constexpr double kNone = -std::numeric_limits<double>::infinity();
 /// No drive's torque is as noisy as this.
 constexpr double kImpossibleTorque_Nm = 0.05;
 constexpr std::size_t kMostFits = 4;
@@ -102,8 +103,9 @@ void follow(const Start& start, Hypothesis& extended) {
   }
 }
 
+/// `least`: see ExtendedFitOptions.
 Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double torque_noise_Nm,
-                       int max_iterations, Brake brake = Brake::Fitted) {
+                       int max_iterations, Brake brake = Brake::Fitted, double least = kNone) {
   Hypothesis extended = hypothesis;
   extended.estimate = with_effect(hypothesis.estimate, start.values);
   const EffectDelays delays = delays_of(start.values);
@@ -111,7 +113,7 @@ Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double 
   if (start.step.size() > 0) follow(start, extended);
   extended.estimate.noise.torque_Nm = torque_noise_Nm;
   if (brake == Brake::Nominal) extended.estimate.parameters.base.theta = nominal_parameters();
-  refit(extended, max_iterations);
+  refit(extended, max_iterations, least);
   extended.unused_log_likelihood += likelihood_of_unusable(delays, extended);
   extended.degrees += degrees_of(*start.values.effect, extended.runs.size());
   return extended;
@@ -221,6 +223,8 @@ bool is_torque_impossible(const Hypothesis& hypothesis) {
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   candidate.is_fitted = true;
   const double noise = hypothesis.estimate.noise.torque_Nm;
+  const double hopeless =
+      hypothesis.estimate.log_likelihood - kHopeless_nats * hypothesis.estimate.readings;
   Hypothesis best = candidate.fitted;
   std::size_t fits = 0;
   const auto gain = [&] {
@@ -241,10 +245,9 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   }
   const auto attempt_afresh = [&](const EffectValues& values) {
     if (!also_afresh) return;
-    Hypothesis afresh =
-        fitted_from({.values = values}, hypothesis, kModestTorque_Nm, kRoughIterations, Brake::Nominal);
-    if (afresh.log_likelihood() < hypothesis.log_likelihood() - kHopeless_nats * hypothesis.estimate.readings)
-      return;
+    Hypothesis afresh = fitted_from({.values = values}, hypothesis, kModestTorque_Nm, kRoughIterations,
+                                    Brake::Nominal, hopeless);
+    if (afresh.estimate.log_likelihood < hopeless) return;
     refit(afresh);
     keep_if_better(std::move(afresh), best);
   };
@@ -265,7 +268,8 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
       }
       Hypothesis from = hypothesis;
       from.estimate = without_effect(best.estimate, best.estimate.parameters.effects.size() - 1);
-      keep_if_better(fitted_from({.values = values}, from, best.estimate.noise.torque_Nm, kRoughIterations),
+      keep_if_better(fitted_from({.values = values}, from, best.estimate.noise.torque_Nm, kRoughIterations,
+                                 Brake::Fitted, hopeless),
                      best);
       const bool better = gain() > reached;
       if (better)
@@ -339,9 +343,10 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
   weigh(candidate, hypothesis);
 }
 
-void refit(Hypothesis& hypothesis, int max_iterations) {
+void refit(Hypothesis& hypothesis, int max_iterations, double least) {
   ExtendedFitOptions options;
   options.max_iterations = max_iterations;
+  options.least_log_likelihood = least;
   options.threads = hypothesis.threads;
   hypothesis.estimate = fit_extended(hypothesis.runs, hypothesis.estimate, options);
 }

@@ -89,8 +89,10 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis);
 /// Fits it to the end, if it is not there.
 void settle(Hypothesis& hypothesis);
 
-/// Fits the hypothesis anew with its effects as they are.
-void refit(Hypothesis& hypothesis, int max_iterations = ExtendedFitOptions{}.max_iterations);
+/// Fits the hypothesis anew with its effects as they are. `least`: the log-likelihood below which it is given
+/// up after a first descent.
+void refit(Hypothesis& hypothesis, int max_iterations = ExtendedFitOptions{}.max_iterations,
+           double least = ExtendedFitOptions{}.least_log_likelihood);
 
 /// The hypothesis without one of its effects, or without any, fitted.
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded);

@@ -29,7 +29,7 @@ constexpr double kNegligibleTorque = 1e-7;  // a variance
 constexpr int kMostRounds = 12;
 constexpr int kNoiseIterations = 6;
 /// To find where to begin; what does not converge by then lacks an effect.
-constexpr int kWarmIterations = 40;
+constexpr int kWarmIterations = 100;
 
 /// Below this much torque noise (N m) nothing changes any more.
 constexpr double kSmallestTorque_Nm = 2e-5;
@@ -571,6 +571,7 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
       break;
     }
     if (estimate.iterations >= options.max_iterations) break;
+    if (round > 0 && reached < options.least_log_likelihood) break;
     const Descent descent = minimise(fit, point, options.max_iterations - estimate.iterations);
     estimate.iterations += std::max(1, descent.iterations);
     if (!descent.possible) break;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <limits>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -55,6 +56,8 @@ struct ExtendedFitOptions {
   bool estimate_noise = true;
   bool hold_parameters = false;  ///< the runs' initial states are all that moves
   std::array<bool, kParameterCount> held{};
+  /// Given up where the first descent ends below this log-likelihood.
+  double least_log_likelihood = -std::numeric_limits<double>::infinity();
   SpareThreads threads;  ///< for runs beside each other; the result is the same
 };
 
