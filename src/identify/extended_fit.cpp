@@ -28,8 +28,6 @@ constexpr double kNoiseTolerance = 0.01;
 constexpr double kNegligibleTorque = 1e-7;  // a variance
 constexpr int kMostRounds = 12;
 constexpr int kNoiseIterations = 6;
-/// To find where to begin; what does not converge by then lacks an effect.
-constexpr int kWarmIterations = 100;
 
 /// Below this much torque noise (N m) nothing changes any more.
 constexpr double kSmallestTorque_Nm = 2e-5;
@@ -598,7 +596,6 @@ ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& star
   ExtendedEstimate estimate;
   EstimatorOptions options;
   options.start = start;
-  options.max_iterations = kWarmIterations;
   const Estimate first = identify_prediction_error(runs, options);
   ExtendedEstimate warm;
   warm.parameters.base = start;
