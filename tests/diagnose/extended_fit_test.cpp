@@ -1,5 +1,6 @@
 #include "clampd/identify/extended_fit.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -65,6 +66,25 @@ TEST(ExtendedFit, AStepForecastsWhatTheFitBrings) {
   const double gain = fitted.log_likelihood - base.log_likelihood;
   EXPECT_GT(gain, 10.0);
   EXPECT_NEAR((seen.after_step - seen.log_likelihood) / gain, 1.0, 0.3);
+}
+
+/// Readings of force that come early ask for a lag below zero, and the brake's own parameters for the rest.
+TEST(ExtendedFit, AParameterAtItsBoundDoesNotStopTheOthers) {
+  std::vector<clampd::Run> runs = runs_of("", 31, 6);
+  for (clampd::Run& run : runs) std::rotate(run.force_N.begin(), run.force_N.begin() + 1, run.force_N.end());
+  const std::vector<FitRun> fitted = fit_runs(runs);
+  const ExtendedEstimate base = fit_base(runs, BrakeParameters{});
+  ASSERT_TRUE(base.possible);
+  ExtendedEstimate start = with_effect(base, {find_effect("force-lag"), {0.0005}});
+  start.parameters.base.theta[mus] *= 1.1;
+  start.parameters.base.theta[ws] *= 0.7;
+  const ExtendedEstimate extended = fit_extended(fitted, start);
+  ASSERT_TRUE(extended.possible);
+  EXPECT_EQ(extended.parameters.effects[0].values[0], 0.0);
+  EXPECT_GT(extended.log_likelihood, base.log_likelihood - 0.5);
+  EXPECT_TRUE(extended.covariance.allFinite());
+  const StepForecast seen = forecast(fitted, extended);
+  EXPECT_LT(seen.after_step - seen.log_likelihood, 0.5) << "nothing is promised beyond the bound";
 }
 
 /// What one linearisation of all effects that are there in name only tells of each.
