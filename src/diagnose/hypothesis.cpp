@@ -223,8 +223,7 @@ bool is_torque_impossible(const Hypothesis& hypothesis) {
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   candidate.is_fitted = true;
   const double noise = hypothesis.estimate.noise.torque_Nm;
-  const double hopeless =
-      hypothesis.estimate.log_likelihood - kHopeless_nats * hypothesis.estimate.readings;
+  const double hopeless = hypothesis.estimate.log_likelihood - kHopeless_nats * hypothesis.estimate.readings;
   Hypothesis best = candidate.fitted;
   std::size_t fits = 0;
   const auto gain = [&] {
@@ -320,7 +319,7 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
     if (!beside.starts.empty() && beside.starts.front().predicted_gain > kStandsOut * candidate.gain &&
         room_for(candidate.fitted, {&beside.starts.front().values, 1})) {
       Hypothesis both = fitted_from(beside.starts.front(), candidate.fitted,
-                                          candidate.fitted.estimate.noise.torque_Nm, kRoughIterations);
+                                    candidate.fitted.estimate.noise.torque_Nm, kRoughIterations);
       const std::size_t first = candidate.fitted.estimate.parameters.effects.size() - 1;
       const auto is_first_needed = [&] {
         return both.estimate.covariance.allFinite() &&
@@ -353,8 +352,8 @@ void refit(Hypothesis& hypothesis, int max_iterations, double least) {
 
 void settle(Hypothesis& hypothesis) {
   if (hypothesis.estimate.settled && promise_of(hypothesis) < kNotEnded_nats) return;
-  const double begun = hypothesis.estimate.settled ? hypothesis.log_likelihood()
-                                                   : -std::numeric_limits<double>::infinity();
+  const double begun =
+      hypothesis.estimate.settled ? hypothesis.log_likelihood() : -std::numeric_limits<double>::infinity();
   refit(hypothesis);
   /// Once more, from what `change` makes of the estimate; whether that helped.
   const auto again = [&](const auto& change) {

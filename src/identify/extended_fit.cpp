@@ -119,8 +119,8 @@ class ExtendedFit {
     return true;
   }
 
-  /// The nearest point within the parameters' bounds, which a search may ask beyond of: there the model is the
-  /// one at the bound.
+  /// The nearest point within the parameters' bounds, which a search may ask beyond of: there the model is
+  /// the one at the bound.
   Eigen::VectorXd inside(Eigen::VectorXd point) const {
     for (int i = 0; i < parameters_; ++i)
       point[i] = std::min(std::max(point[i], unknowns_.lower(i)), unknowns_.upper(i));
@@ -374,8 +374,8 @@ class ExtendedFit {
     for_each_index(runs_.size(), threads_, [&](std::size_t place) {
       const std::size_t r = longest_first_[place];
       const Eigen::VectorXd initial = point.segment(local(r), locals_);
-      squares[r] = squares_of(runs_[r], brake, initial, now_.runs[r]) +
-                   prior_squares(prior_, initial - centres_[r]);
+      squares[r] =
+          squares_of(runs_[r], brake, initial, now_.runs[r]) + prior_squares(prior_, initial - centres_[r]);
     });
     return std::accumulate(squares.begin(), squares.end(), 0.0);
   }

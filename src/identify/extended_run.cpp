@@ -358,8 +358,7 @@ std::vector<double> prior_deviations(const ExtendedParameters& model) {
 }
 
 double prior_squares(std::span<const double> deviations, const Eigen::VectorXd& distance) {
-  return distance
-      .cwiseQuotient(Eigen::Map<const Eigen::VectorXd>(deviations.data(), distance.size()))
+  return distance.cwiseQuotient(Eigen::Map<const Eigen::VectorXd>(deviations.data(), distance.size()))
       .squaredNorm();
 }
 

@@ -18,7 +18,8 @@ const NoiseLevels kNoise{{30.0, 0.3}, 0.0142};
 TEST(ExtendedRun, SquaresAreThoseOfTheNormalEquations) {
   std::mt19937_64 generator(7);
   const std::vector<clampd::Run> runs{
-      support::run_reference_brake({}, BrakeState{0.0, 0.0}, support::strong_torque(), kNoise, generator).run};
+      support::run_reference_brake({}, BrakeState{0.0, 0.0}, support::strong_torque(), kNoise, generator)
+          .run};
   std::vector<FitRun> fitted = fit_runs(runs);
   FitRun& run = fitted.front();
   run.use_force[40] = run.use_velocity[40] = run.use_velocity[41] = 0;

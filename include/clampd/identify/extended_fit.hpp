@@ -1,8 +1,8 @@
 #pragma once
 
 #include <array>
-#include <limits>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <span>
 #include <vector>

@@ -175,9 +175,9 @@ class Presliding final : public EquationsOf<Presliding> {
       const T slowest = reaches - growth * kBreakaway;
       const T bent = growth * way / slowest;
       using std::log;
-      const T share = way / slowest *
-                      (std::abs(effects_detail::value_of(bent)) > 1e-4 ? T(log(1.0 + bent) / bent)
-                                                                       : T(1.0 - 0.5 * bent));
+      const T share =
+          way / slowest *
+          (std::abs(effects_detail::value_of(bent)) > 1e-4 ? T(log(1.0 + bent) / bent) : T(1.0 - 0.5 * bent));
       if (!(slowest > 0.0) || !(share < 1.0)) return after(built_up, reaches, growth);
       built_up = T(kBreakaway);
       reaches *= 1.0 - share;
