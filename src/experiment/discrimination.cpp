@@ -286,7 +286,7 @@ std::string in_words(const Discrimination& design, std::span<const RivalModel> r
   const double duration_s = static_cast<double>(design.trajectory.size()) * kPeriod_s;
   if (!design.settles)
     return fmt::format(
-        "{} cannot be told apart by any manoeuvre within the limits: {} runs of the best one found, {} in "
+        "{} cannot be told apart by any manoeuvre that was tried: {} runs of the best one, {} in "
         "{:.2f} s, would give {:.1f} nats between {} and {}, and it takes {:.0f}",
         names, design.repeats, kind, duration_s, design.expected_evidence_nats, rivals[design.first].name,
         rivals[design.second].name, enough_nats);
