@@ -33,7 +33,6 @@ constexpr double kStuck_nats = 30.0;
 constexpr double kNearBound = 5.0;
 /// A rough fit from elsewhere that is so much worse, per reading, will not come back.
 constexpr double kHopeless_nats = 0.1;
-constexpr double kNone = -std::numeric_limits<double>::infinity();
 /// No drive's torque is as noisy as this.
 constexpr double kImpossibleTorque_Nm = 0.05;
 constexpr std::size_t kMostFits = 4;
@@ -105,7 +104,8 @@ void follow(const Start& start, Hypothesis& extended) {
 
 /// `least`: see ExtendedFitOptions.
 Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double torque_noise_Nm,
-                       int max_iterations, Brake brake = Brake::Fitted, double least = kNone) {
+                       int max_iterations, Brake brake = Brake::Fitted,
+                       double least = ExtendedFitOptions{}.least_log_likelihood) {
   Hypothesis extended = hypothesis;
   extended.estimate = with_effect(hypothesis.estimate, start.values);
   const EffectDelays delays = delays_of(start.values);
@@ -284,11 +284,12 @@ void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
 
-void fit_from(const KnownFit& known, const Hypothesis& hypothesis, Candidate& candidate) {
+void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hypothesis& hypothesis,
+              Candidate& candidate) {
   candidate.is_fitted = true;
-  keep_if_better(fitted_from({.values = known.values}, known.others, known.others.estimate.noise.torque_Nm,
-                             kRoughIterations),
-                 candidate.fitted);
+  keep_if_better(
+      fitted_from({.values = values}, elsewhere, elsewhere.estimate.noise.torque_Nm, kRoughIterations),
+      candidate.fitted);
   if (candidate.fitted.possible()) weigh(candidate, hypothesis);
 }
 
@@ -370,8 +371,8 @@ void settle(Hypothesis& hypothesis) {
   // Noise of the torque and parameters can answer each other in ever smaller steps.
   if (!hypothesis.estimate.settled && hypothesis.estimate.noise.torque_Nm > kModestTorque_Nm)
     again(believe_the_torque);
-  // A kink can end a descent where a step promises more.
-  // What a fit from where it ended could not leave, another one from there cannot either.
+  // A kink can end a descent where a step promises more; but what one fit from there could not leave, the
+  // next one cannot either.
   bool moves = !hypothesis.estimate.settled || hypothesis.log_likelihood() > begun + kHelps_nats;
   for (int more = 0; moves && more < kMostMisses && hypothesis.possible(); ++more)
     moves = promise_of(hypothesis) > kNotEnded_nats && again([](ExtendedEstimate&) {});

@@ -35,13 +35,6 @@ struct Start {
   Eigen::VectorXd step = {};
 };
 
-/// An effect that has been fitted beside a hypothesis, and the others as they were then: without it they bend
-/// around it.
-struct KnownFit {
-  EffectValues values;
-  Hypothesis others;
-};
-
 /// An effect judged beside a hypothesis.
 struct Candidate {
   const Effect* effect = nullptr;
@@ -67,8 +60,9 @@ struct Candidate {
 /// `also_afresh`: from the nominal brake as well.
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh);
 
-/// Once more, from where it is known to fit.
-void fit_from(const KnownFit& known, const Hypothesis& hypothesis, Candidate& candidate);
+/// Once more, from these values beside another fit of the same hypothesis.
+void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hypothesis& hypothesis,
+              Candidate& candidate);
 
 /// Gain and evidence of a candidate that is fitted, beside this fit of the hypothesis.
 void weigh(Candidate& candidate, const Hypothesis& hypothesis);

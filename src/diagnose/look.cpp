@@ -269,6 +269,12 @@ bool is_scanned(const Effect& effect) {
   return info_of(effect).name == "cogging";
 }
 
+void predict(Candidate& candidate) {
+  candidate.predicted_gain = candidate.starts.empty() ? 0.0 : candidate.starts.front().predicted_gain;
+  candidate.predicted_evidence =
+      evidence_of(candidate.predicted_gain, candidate.degrees, candidate.alternatives);
+}
+
 void add_peaks(const Hypothesis& hypothesis, std::span<const FilteredRun> filtered, Candidate& candidate) {
   if (filtered.empty()) return;
   const SignalScorer scorer(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
@@ -345,9 +351,7 @@ std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypot
     if (candidate.is_fitted) continue;
     std::sort(candidate.starts.begin(), candidate.starts.end(),
               [](const Start& a, const Start& b) { return a.predicted_gain > b.predicted_gain; });
-    if (!candidate.starts.empty()) candidate.predicted_gain = candidate.starts.front().predicted_gain;
-    candidate.predicted_evidence =
-        evidence_of(candidate.predicted_gain, candidate.degrees, candidate.alternatives);
+    predict(candidate);
   }
   return candidates;
 }

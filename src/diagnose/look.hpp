@@ -12,6 +12,9 @@ namespace clampd::diagnosing {
 std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypothesis& hypothesis,
                                std::span<const Run> recorded);
 
+/// What a candidate promises, by the best of its starts.
+void predict(Candidate& candidate);
+
 /// Whether a model has states and parameters left for these effects beside its own.
 bool room_for(const Hypothesis& hypothesis, std::span<const EffectValues> further);
 

@@ -77,10 +77,14 @@ bool is_harmonic(const EffectValues& values, const Hypothesis& hypothesis) {
 /// Leaves a further effect of the same name only the starts that it may be named for.
 void keep_harmonics(const Hypothesis& hypothesis, Candidate& candidate) {
   std::erase_if(candidate.starts, [&](const Start& start) { return !is_harmonic(start.values, hypothesis); });
-  candidate.predicted_gain = candidate.starts.empty() ? 0.0 : candidate.starts.front().predicted_gain;
-  candidate.predicted_evidence =
-      evidence_of(candidate.predicted_gain, candidate.degrees, candidate.alternatives);
+  predict(candidate);
 }
+
+/// An effect that was in a model, and the others as they were beside it: without it they bend around it.
+struct TakenOut {
+  EffectValues values;
+  Hypothesis others;
+};
 
 /// What to judge the candidates by.
 struct Question {
@@ -89,7 +93,7 @@ struct Question {
   double until = 0.0;            ///< share of the whole work that is done then
   double material = 0.0;         ///< one that gains less does not matter
   /// An effect that a fuller model, fitted to the end, has and the hypothesis lacks.
-  const KnownFit* taken_out = nullptr;
+  const TakenOut* taken_out = nullptr;
   /// The hypothesis and a further effect, if it was fitted on the way.
   const Hypothesis* begun = nullptr;
 };
@@ -102,7 +106,7 @@ class Selector {
   /// All candidates beside a hypothesis, the promising ones fitted, best first.
   std::vector<Candidate> judge(const Question& question, double& share) {
     const Hypothesis& hypothesis = question.hypothesis;
-    const KnownFit* taken_out = question.taken_out;
+    const TakenOut* taken_out = question.taken_out;
     const std::size_t others = hypothesis.estimate.parameters.effects.size();
     const std::size_t most_fits = others == 0 ? kMostFits : kMostLaterFits;
     std::vector<const Effect*> tried;
@@ -135,7 +139,7 @@ class Selector {
     for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
       Candidate& candidate = candidates[worth[i]];
       if (is_itself(candidate))
-        fit_from(*taken_out, hypothesis, candidate);
+        fit_from(taken_out->values, taken_out->others, hypothesis, candidate);
       else
         fit(candidate, hypothesis, stuck);
     });
@@ -150,7 +154,7 @@ class Selector {
       for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
         Candidate& candidate = candidates[worth[i]];
         if (!is_itself(candidate) && candidate.fitted.possible() && candidate.gain > fair)
-          fit_from({candidate.fitted.estimate.parameters.effects.back(), taken_out->others}, hypothesis,
+          fit_from(candidate.fitted.estimate.parameters.effects.back(), taken_out->others, hypothesis,
                    candidate);
       });
     }
@@ -335,7 +339,7 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
       best_first(candidates);
       selection.share = until;
     } else {
-      KnownFit taken_out{selection.chosen.estimate.parameters.effects[e], reduced};
+      TakenOut taken_out{selection.chosen.estimate.parameters.effects[e], reduced};
       taken_out.others.estimate = without_effect(selection.chosen.estimate, e);
       candidates = selector.judge({.hypothesis = reduced,
                                    .words = fmt::format("is {} needed?", name),

@@ -123,7 +123,7 @@ class ExtendedFit {
   /// the one at the bound.
   Eigen::VectorXd inside(Eigen::VectorXd point) const {
     for (int i = 0; i < parameters_; ++i)
-      point[i] = std::min(std::max(point[i], unknowns_.lower(i)), unknowns_.upper(i));
+      point[i] = std::clamp(point[i], unknowns_.lower(i), unknowns_.upper(i));
     return point;
   }
 
@@ -164,7 +164,7 @@ class ExtendedFit {
       jacobian_rows.block(first, local(r), size, locals_) = factor.middleCols(parameters_, locals_);
       residual_rows.segment(first, size) = factor.col(size - 1);
     }
-    for (const Eigen::Index i : step_of(everything()).held) jacobian_rows.col(i).setZero();
+    for (const Eigen::Index i : joint_step().held) jacobian_rows.col(i).setZero();
     return true;
   }
 
@@ -221,12 +221,34 @@ class ExtendedFit {
     std::vector<Eigen::Index> held;  ///< of the part's parameters; `move` has the way that they would go
     double decrease;                 ///< of the squares
   };
-  Step step_of(const Part& part) const { return step_of(part, joint(part)); }
+  Step step_of(const Part& part, const Reduced& joint) const {
+    Step step{-solve(joint.information, joint.gradient), {}, 0.0};
+    std::vector<Eigen::Index> left;
+    for (Eigen::Index i = 0; i < step.move.size(); ++i) {
+      const int unknown = static_cast<int>(part.parameters[static_cast<std::size_t>(i)]);
+      const double value = now_.point[unknown];
+      const bool outward = (step.move[i] < 0.0 && value <= unknowns_.lower(unknown)) ||
+                           (step.move[i] > 0.0 && value >= unknowns_.upper(unknown));
+      (outward ? step.held : left).push_back(i);
+    }
+    if (!step.held.empty()) {
+      const Eigen::VectorXd gradient = joint.gradient(left);
+      step.move(left) = -solve(joint.information(left, left), gradient);
+      step.decrease = squares() - joint.squares - gradient.dot(step.move(left));
+    } else {
+      step.decrease = squares() - joint.squares - joint.gradient.dot(step.move);
+    }
+    return step;
+  }
+  Step joint_step() const {
+    const Part all = everything();
+    return step_of(all, joint(all));
+  }
 
-  double expected_decrease() const { return step_of(everything()).decrease; }
+  double expected_decrease() const { return joint_step().decrease; }
 
   void gauss_newton_step(Eigen::VectorXd& step) const {
-    Step all = step_of(everything());
+    Step all = joint_step();
     for (const Eigen::Index i : all.held) all.move[i] = 0.0;
     const Eigen::VectorXd& move = all.move;
     step.resize(NumParameters());
@@ -316,26 +338,6 @@ class ExtendedFit {
       evaluation->point.resize(0);
       evaluation->possible = false;
     }
-  }
-
-  Step step_of(const Part& part, const Reduced& joint) const {
-    Step step{-solve(joint.information, joint.gradient), {}, 0.0};
-    std::vector<Eigen::Index> left;
-    for (Eigen::Index i = 0; i < step.move.size(); ++i) {
-      const int unknown = static_cast<int>(part.parameters[static_cast<std::size_t>(i)]);
-      const double value = now_.point[unknown];
-      const bool outward = (step.move[i] < 0.0 && value <= unknowns_.lower(unknown)) ||
-                           (step.move[i] > 0.0 && value >= unknowns_.upper(unknown));
-      (outward ? step.held : left).push_back(i);
-    }
-    if (!step.held.empty()) {
-      const Eigen::VectorXd gradient = joint.gradient(left);
-      step.move(left) = -solve(joint.information(left, left), gradient);
-      step.decrease = squares() - joint.squares - gradient.dot(step.move(left));
-    } else {
-      step.decrease = squares() - joint.squares - joint.gradient.dot(step.move);
-    }
-    return step;
   }
 
   bool linearise_at(const Eigen::VectorXd& point, const Variances& variances, Gains gains) const {
@@ -458,9 +460,10 @@ StepForecast nothing_foreseen() {
 
 /// A step of this part of a fit that was just renewed, the rest staying.
 StepForecast forecast_of(const ExtendedFit& fit, const ExtendedParameters& model, const Part& part) {
-  const ExtendedFit::Step step = fit.step_of(part);
+  const Reduced joint = fit.joint(part);
+  const ExtendedFit::Step step = fit.step_of(part, joint);
   const Eigen::VectorXd& move = step.move;
-  StepForecast result{fit.log_likelihood(part), 0.0, move, deviations_of(fit.joint(part).information)};
+  StepForecast result{fit.log_likelihood(part), 0.0, move, deviations_of(joint.information)};
   result.after_step = result.log_likelihood + 0.5 * step.decrease;
   for (std::size_t i = 0; i < part.parameters.size(); ++i) {
     const int unknown = static_cast<int>(part.parameters[i]);
@@ -752,10 +755,7 @@ std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const Extende
     smooth(run, linear, innovation, &view.disturbance_Nm);
     for (double& value : view.disturbance_Nm) value *= variances.torque;
     // Free of the filter's corrections: the model alone, driven by the torque as the smoother has it.
-    const Eigen::VectorXd& initial = estimate.initial_states[r];
-    state = brake.settled(initial[0], initial[1], row_input(run, 0));
-    for (std::size_t f = 0; f < brake.free_states().size(); ++f)
-      state[brake.free_states()[f]] += initial[2 + static_cast<Eigen::Index>(f)];
+    state = first_state(run, brake, estimate.initial_states[r]);
     for (std::size_t k = 0; k < size; ++k) {
       RowInput row = row_input(run, k);
       const bool bounded = ExtendedBrake::is_bounded(state);

@@ -234,14 +234,20 @@ bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedPara
   return true;
 }
 
+ExtendedBrake::State first_state(const FitRun& run, const ExtendedBrake& brake,
+                                 const Eigen::VectorXd& initial) {
+  ExtendedBrake::State state = brake.settled(initial[0], initial[1], row_input(run, 0));
+  for (std::size_t f = 0; f < brake.free_states().size(); ++f)
+    state[brake.free_states()[f]] += initial[2 + static_cast<Eigen::Index>(f)];
+  return state;
+}
+
 double squares_of(const FitRun& run, const ExtendedBrake& brake, const Eigen::VectorXd& initial,
                   const ExtendedRun& linearised) {
   constexpr double kNever = std::numeric_limits<double>::infinity();
   const int n = linearised.states;
   double jacobian[kMostStates * (kMostStates + ExtendedBrake::kMostParameters + 2)];
-  ExtendedBrake::State state = brake.settled(initial[0], initial[1], row_input(run, 0));
-  for (std::size_t f = 0; f < brake.free_states().size(); ++f)
-    state[brake.free_states()[f]] += initial[2 + static_cast<Eigen::Index>(f)];
+  ExtendedBrake::State state = first_state(run, brake, initial);
   double squares = 0.0;
   for (std::size_t k = 0; k < linearised.rows; ++k) {
     if (!ExtendedBrake::is_bounded(state)) return kNever;

@@ -87,6 +87,10 @@ bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedPara
                const Unknowns& unknowns, const Eigen::VectorXd& initial, const Variances& variances,
                Gains gains, ExtendedRun& out);
 
+/// The state at a run's first row, with these locals.
+ExtendedBrake::State first_state(const FitRun& run, const ExtendedBrake& brake,
+                                 const Eigen::VectorXd& initial);
+
 /// The innovations' squares over their variance under the gains of a run linearised before: the last element
 /// of its normal equations, without the derivatives and for a small part of the time. Infinite where the
 /// state leaves all bounds.
