@@ -90,7 +90,7 @@ inline constexpr std::array<EffectInfo, 23> kEffectTable{{
      1e5},
     {"force-hum", "N", "amplitude of 50 Hz on the force reading", &Effects::force_hum_N, 0.0, 5000.0},
     {"velocity-lag", "s", "time constant of the velocity filter", &Effects::velocity_lag_s, 0.0, 0.05},
-    {"channel-skew", "samples", "how late the force reading is (fractions interpolate)",
+    {"channel-skew", "samples", "how late the force reading is; fractions of a sample too",
      &Effects::channel_skew, 0.0, kMaximumSkew_samples},
     {"outliers", "1", "share of force readings with a spike of 2 kN", &Effects::outliers, 0.0, 0.2},
 }};

@@ -17,14 +17,17 @@ double quantised(double value, double quantum) noexcept {
 }  // namespace
 
 SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration)
-    : configuration_(configuration), random_(configuration.seed) {
+    : configuration_(configuration),
+      random_(configuration.seed),
+      steps_(static_cast<int>(std::ceil(kPeriod_s / configuration.step_s - 1e-9))) {
   CLAMPD_ASSERT(configuration.validate().has_value());
   state_.position_rad = -configuration.clearance_rad;
   state_.pad_position_rad = state_.position_rad;
   state_.force_N = pad_force(0.0);
   state_.relaxed_N = state_.force_N;
   state_.filtered_force_N = state_.force_N;
-  force_history_N_.fill(state_.force_N);
+  force_history_N_.assign(static_cast<std::size_t>(configuration.effects.channel_skew * steps_) + 2,
+                          state_.force_N);
 }
 
 void SimulatedBrake::command(const TorqueCommand& command) noexcept {
@@ -71,14 +74,7 @@ BrakeFeedback SimulatedBrake::read() noexcept {
   truth_ = {time_s,  state_.position_rad, state_.velocity_rad_s, state_.force_N, state_.torque_Nm, enabled_,
             tripped_};
 
-  force_history_N_[static_cast<std::size_t>(index_) % kHistory] =
-      effects.force_lag_s > 0.0 ? state_.filtered_force_N : state_.force_N;
-  const auto history = [this](std::int64_t age) {
-    return force_history_N_[static_cast<std::size_t>(std::max<std::int64_t>(index_ - age, 0)) % kHistory];
-  };
-  const auto whole = static_cast<std::int64_t>(effects.channel_skew);
-  const double part = effects.channel_skew - static_cast<double>(whole);
-  double force_N = (1.0 - part) * history(whole) + part * history(whole + 1);
+  double force_N = force_before(effects.channel_skew);
   force_N += effects.force_offset_N + sensors.force_offset_N +
              effects.force_hum_N * std::sin(2.0 * std::numbers::pi * kHumFrequency_Hz * time_s + 0.4);
   if (effects.outliers > 0.0) {
@@ -111,9 +107,23 @@ BrakeFeedback SimulatedBrake::read() noexcept {
 }
 
 void SimulatedBrake::advance() noexcept {
-  const int steps = static_cast<int>(std::ceil(kPeriod_s / configuration_.step_s - 1e-9));
-  const double h = kPeriod_s / steps;
-  for (int i = 0; i < steps; ++i) step(h);
+  const double h = kPeriod_s / steps_;
+  for (int i = 0; i < steps_; ++i) {
+    step(h);
+    newest_force_ = (newest_force_ + 1) % force_history_N_.size();
+    force_history_N_[newest_force_] =
+        configuration_.effects.force_lag_s > 0.0 ? state_.filtered_force_N : state_.force_N;
+  }
+}
+
+/// What the load cell had so many samples ago, between the integrator's steps, too.
+double SimulatedBrake::force_before(double samples) const noexcept {
+  const double steps = samples * steps_;
+  const auto whole = static_cast<std::size_t>(steps);
+  const double part = steps - static_cast<double>(whole);
+  const std::size_t size = force_history_N_.size();
+  const auto before = [&](std::size_t age) { return force_history_N_[(newest_force_ + size - age) % size]; };
+  return (1.0 - part) * before(whole) + (part > 0.0 ? part * before(whole + 1) : 0.0);
 }
 
 void SimulatedBrake::step(double h) noexcept {

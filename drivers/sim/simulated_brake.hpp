@@ -1,8 +1,9 @@
 #pragma once
 
-#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <random>
+#include <vector>
 
 #include "clampd/record/brake_port.hpp"
 #include "drivers/sim/plant_configuration.hpp"
@@ -68,6 +69,7 @@ class SimulatedBrake {
   double pad_force(double velocity_rad_s) const noexcept;
   double friction_level(double speed_rad_s, double force_N) const noexcept;
   double gaussian(double sd) noexcept;
+  double force_before(double samples) const noexcept;
 
   PlantConfiguration configuration_;
   std::mt19937_64 random_;
@@ -82,8 +84,9 @@ class SimulatedBrake {
   double torque_Nm_ = 0.0;  ///< latched
   std::int64_t index_ = 0;
   std::uint32_t run_ = 0;
-  static constexpr std::size_t kHistory = static_cast<std::size_t>(kMaximumSkew_samples) + 2;
-  std::array<double, kHistory> force_history_N_{};  ///< readings by index, for channel-skew
+  int steps_ = 1;                        ///< of the integrator in a sample
+  std::vector<double> force_history_N_;  ///< what the load cell had at each step of late, a ring
+  std::size_t newest_force_ = 0;         ///< the step just made
 };
 
 }  // namespace clampd::sim

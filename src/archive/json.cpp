@@ -119,6 +119,11 @@ ordered_json check_json(const CheckRecord& record) {
            {{"force_N", number(record.noise_force_N)},
             {"velocity_rad_s", number(record.noise_velocity_rad_s)},
             {"torque_Nm", number(record.noise_torque_Nm)}}},
+          {"torque_while_off", record.torque_while_off
+                                   ? ordered_json{{"mean_Nm", record.torque_while_off->mean_Nm},
+                                                  {"sd_Nm", record.torque_while_off->sd_Nm},
+                                                  {"rows", record.torque_while_off->rows}}
+                                   : ordered_json(nullptr)},
           {"method", record.method},
           {"covariance_normalised", matrix_json(record.covariance_normalised)},
           {"runs", std::move(runs)}};

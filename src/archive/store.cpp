@@ -21,7 +21,7 @@ using sql::explained;
 using sql::Row;
 
 /// Step i brings a database of version i to i + 1 (PRAGMA user_version). Steps are never changed, only added.
-constexpr std::array<const char*, 5> kMigrations{R"sql(
+constexpr std::array<const char*, 6> kMigrations{R"sql(
 CREATE TABLE checks (
   id TEXT PRIMARY KEY NOT NULL,
   serial TEXT NOT NULL, part_number TEXT NOT NULL, batch TEXT NOT NULL,
@@ -87,6 +87,9 @@ CREATE UNIQUE INDEX publication_order ON publication (channel, sequence);
 DROP INDEX publication_pending;
 CREATE INDEX publication_next ON publication (channel, sequence) WHERE state = 0;
 CREATE TABLE outbox_connections (channel TEXT PRIMARY KEY NOT NULL, connections INTEGER NOT NULL) STRICT;
+)sql",
+                                                 R"sql(
+ALTER TABLE checks ADD COLUMN torque_while_off TEXT NOT NULL DEFAULT '';
 )sql"};
 
 std::string numbers_text(const std::vector<double>& values) {
@@ -126,6 +129,18 @@ std::optional<CauseRecord> cause_from(const std::string& text) {
   return record;
 }
 
+/// Empty if it is not known.
+std::string torque_while_off_text(const std::optional<TorqueWhileOff>& torque) {
+  return torque ? nlohmann::json{torque->mean_Nm, torque->sd_Nm, torque->rows}.dump() : "";
+}
+
+std::optional<TorqueWhileOff> torque_while_off_from(const std::string& text) {
+  if (text.empty()) return std::nullopt;
+  const nlohmann::json torque = nlohmann::json::parse(text);
+  return TorqueWhileOff{torque.at(0).get<double>(), torque.at(1).get<double>(),
+                        torque.at(2).get<std::size_t>()};
+}
+
 void migrate(SQLite::Database& database, int version) {
   for (std::size_t step = static_cast<std::size_t>(version); step < kMigrations.size(); ++step) {
     SQLite::Transaction transaction(database, SQLite::TransactionBehavior::IMMEDIATE);
@@ -137,7 +152,7 @@ void migrate(SQLite::Database& database, int version) {
   }
 }
 
-constexpr int kCheckColumns = 36;
+constexpr int kCheckColumns = 37;
 
 void insert_check(SQLite::Database& database, const CheckRecord& r) {
   Row row(database, "checks", kCheckColumns);
@@ -148,12 +163,12 @@ void insert_check(SQLite::Database& database, const CheckRecord& r) {
       << numbers_text(r.covariance_normalised) << r.noise_force_N << r.noise_velocity_rad_s
       << r.tracking_rms_N << r.timing.ticks << r.timing.skipped << r.timing.lost_samples
       << r.timing.lateness_min_us << r.timing.lateness_avg_us << r.timing.lateness_max_us << r.timing.bus_load
-      << r.method << r.noise_torque_Nm << cause_text(r.cause);
+      << r.method << r.noise_torque_Nm << cause_text(r.cause) << torque_while_off_text(r.torque_while_off);
   row.insert();
 }
 
 void read_check(SQLite::Statement& statement, CheckRecord& r) {
-  std::string covariance, cause;
+  std::string covariance, cause, torque_while_off;
   Columns columns(statement);
   columns >> r.id >> r.serial >> r.part_number >> r.batch >> r.station >> r.fixture >> r.operator_name >>
       r.software_version >> r.limits_file >> r.limits_revision >> r.limits_sha256 >> r.trajectory_sha256 >>
@@ -161,8 +176,9 @@ void read_check(SQLite::Statement& statement, CheckRecord& r) {
       r.marginal >> r.reason >> r.fault >> covariance >> r.noise_force_N >> r.noise_velocity_rad_s >>
       r.tracking_rms_N >> r.timing.ticks >> r.timing.skipped >> r.timing.lost_samples >>
       r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >>
-      r.method >> r.noise_torque_Nm >> cause;
+      r.method >> r.noise_torque_Nm >> cause >> torque_while_off;
   r.cause = cause_from(cause);
+  r.torque_while_off = torque_while_off_from(torque_while_off);
   r.covariance_normalised = numbers_from(covariance);
 }
 

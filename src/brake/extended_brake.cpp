@@ -138,6 +138,23 @@ ExtendedBrake::State ExtendedBrake::advance(const State& state, const RowInput& 
   return result;
 }
 
+double ExtendedBrake::acting_torque(double reading_Nm) const noexcept {
+  return numbers_->plain.acting_torque(reading_Nm);
+}
+
+double ExtendedBrake::acting_torque(double reading_Nm, double* gradient) const noexcept {
+  double torque_Nm = reading_Nm;
+  for (int c = 0; c < static_cast<int>(numbers_->chunks.size()); ++c) {
+    const Jet acting = numbers_->chunks[static_cast<std::size_t>(c)].acting_torque(reading_Nm);
+    torque_Nm = acting.a;
+    for (int j = 0; j < kWidth; ++j) {
+      const int parameter = c * kWidth + j - states_;
+      if (parameter >= 0 && parameter < parameters()) gradient[parameter] = acting.v[j];
+    }
+  }
+  return torque_Nm;
+}
+
 bool ExtendedBrake::is_bounded(const State& state) noexcept {
   return state.allFinite() && clampd::is_bounded(BrakeState(state[0], state[1]));
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <vector>
 
 #include "clampd/brake/extended_brake.hpp"
@@ -58,6 +59,17 @@ class ExtendedEquations {
     return readout;
   }
 
+  /// What acts in the long run while the torque reads the same all the time.
+  T acting_torque(double reading_Nm) const {
+    const T reading(reading_Nm);
+    T states[ExtendedBrake::kMostStates], next[ExtendedBrake::kMostStates];
+    std::fill(states, states + ExtendedBrake::kMostStates, T(0.0));
+    constexpr double kForEver_s = std::numeric_limits<double>::infinity();
+    effects_detail::TorqueInput<T> input{reading, reading, reading, reading, kForEver_s};
+    undo_reading(input, states, next);
+    return input.torque_Nm;
+  }
+
   /// `values` is the same model in plain numbers: it finds the crossings.
   void advance(T* states, const T& torque, const RowInput& row,
                const ExtendedEquations<double>& values) const {
@@ -67,22 +79,24 @@ class ExtendedEquations {
     const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * substeps;
     T next[ExtendedBrake::kMostStates];
     std::copy(states, states + ExtendedBrake::kMostStates, next);
-    // A reading of torque is undone from its end.
-    const std::vector<Part>& undone = chain(Stage::Torque);
-    for (auto part = undone.rbegin(); part != undone.rend(); ++part)
-      static_cast<const effects_detail::Equations<T>&>(*part->effect)
-          .on_torque(input, {own_ + part->own, states + part->state}, next + part->state);
+    undo_reading(input, states, next);
     if (chain(Stage::Filter).empty()) {
       std::copy(next + 2, next + ExtendedBrake::kMostStates, states + 2);
       for (int i = 0; i < steps; ++i) step(states, input.torque_Nm, row, row.gap_s / steps, values);
       return;
     }
     const T force_before = force_at(states, row);
-    const T velocity_before = states[1];
+    T midway[ExtendedBrake::kMostStates];
+    std::copy(next, next + ExtendedBrake::kMostStates, midway);
     std::copy(next, next + ExtendedBrake::kMostStates, states);
     for (int i = 0; i < steps; ++i) step(states, input.torque_Nm, row, row.gap_s / steps, values);
-    const effects_detail::Transit<T> transit{row.gap_s, force_before, force_at(states, row), velocity_before,
-                                             states[1]};
+    const T force_after = force_at(states, row);
+    const T velocity_before = midway[1];
+    for (int i = 0; i < states_; ++i) midway[i] = 0.5 * (midway[i] + states[i]);
+    midway[0] += row.gap_s / 8.0 * (velocity_before - states[1]);
+    const T bend = 4.0 * (force_before - 2.0 * force_at(midway, row) + force_after);
+    const effects_detail::Transit<T> transit{row.gap_s, force_before,    force_after,
+                                             bend,      velocity_before, states[1]};
     std::copy(states, states + ExtendedBrake::kMostStates, next);
     each(chain(Stage::Filter), states,
          [&](const auto& effect, const auto& own, int at) { effect.on_filter(transit, own, next + at); });
@@ -155,6 +169,14 @@ class ExtendedEquations {
   }
 
  private:
+  /// A reading of torque is undone from its end.
+  void undo_reading(effects_detail::TorqueInput<T>& input, const T* states, T* next) const {
+    const std::vector<Part>& undone = chain(Stage::Torque);
+    for (auto part = undone.rbegin(); part != undone.rend(); ++part)
+      static_cast<const effects_detail::Equations<T>&>(*part->effect)
+          .on_torque(input, {own_ + part->own, states + part->state}, next + part->state);
+  }
+
   /// An effect, and where its parameters and its states begin.
   struct Part {
     const Effect* effect;

@@ -171,18 +171,22 @@ std::string_view to_string(DiagnosisVerdict verdict) noexcept {
   return "?";
 }
 
-Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& options) {
+Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& options) {
   const auto began = std::chrono::steady_clock::now();
-  if (const auto valid = check(runs); !valid) return tl::unexpected(valid.error());
+  if (const auto valid = check(given); !valid) return tl::unexpected(valid.error());
   if (const auto valid = options.heldout.empty() ? Result<void>{} : check(options.heldout); !valid)
     return tl::unexpected(valid.error());
+  const std::vector<Run> runs = driven_runs(given), heldout = driven_runs(options.heldout);
+  if (runs.empty())
+    return failure("the drive was off in all runs (drive_enabled is 0): add runs in which the brake moves");
   const Progress progress(options);
   progress(0.0, "fitting the base model");
 
   Hypothesis base;
   base.threads = SpareThreads(threads_or_all(options.threads));
-  base.runs = fit_runs(runs);
-  base.estimate = fit_base(runs, options.nominal);
+  const auto torque_off = pooled(options.torque_while_off, torque_while_off(given));
+  base.runs = fit_runs(runs, torque_off);
+  base.estimate = fit_base(runs, options.nominal, torque_off);
   if (!base.possible())
     return failure(
         "the base model cannot follow these runs at all: check columns and units, and that J and N are those "
@@ -306,6 +310,7 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
             {std::string(candidate.name()), unseen_words(*candidate.effect, candidate.blindness)});
 
   diagnosis.model = selection.chosen.estimate.parameters;
+  diagnosis.torque_while_off = torque_off;
   diagnosis.noise_before = base.estimate.noise;
   diagnosis.noise_after = selection.chosen.estimate.noise;
   diagnosis.parameters_before = base_parameters(base.estimate);
@@ -313,13 +318,17 @@ Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& opt
   diagnosis.parameters_after =
       base_parameters((is_unexplained ? selection.chosen : averaged(selection)).estimate);
   progress(0.96, "judging by runs held out");
-  diagnosis.gain = held_out_gain(runs, options.heldout, base, selection.chosen, diagnosis.notices);
+  diagnosis.gain = held_out_gain(runs, heldout, base, selection.chosen, diagnosis.notices);
   if (options.views) diagnosis.views = views_of(runs, base, selection.chosen);
   if (is_something_left && !is_unexplained && !selection.effects.empty())
     diagnosis.notices.push_back(
         fmt::format("a little is left that these effects do not explain ({:.0f} of {:.0f} nats): they may "
                     "have another form than assumed",
                     after.nats, explained));
+  if (torque_off)
+    diagnosis.notices.push_back(fmt::format(
+        "with the drive off, when no torque acts, its reading was {:.2f} +- {:.2f} mN m ({} rows)",
+        1e3 * torque_off->mean_Nm, 1e3 * torque_off->sd_Nm, torque_off->rows));
   if (runs.size() == 1)
     diagnosis.notices.push_back(
         "one run only: nothing that changes from run to run can be seen, and nothing could be held out");

@@ -172,7 +172,7 @@ Hypothesis taken_out(const Hypothesis& hypothesis, std::size_t effect, std::span
   const EffectDelays delays = delays_of(removed);
   if (!delays.none() || info_of(*removed.effect).name == kSpikes) {
     // The readings as recorded, and then as the effects that are left see them.
-    reduced.runs = fit_runs(recorded);
+    reduced.runs = fit_runs(recorded, hypothesis.runs.front().torque_while_off);
     reduced.unused_log_likelihood = 0.0;
     for (const EffectValues& left : reduced.estimate.parameters.effects) {
       move_by(delays_of(left), reduced.runs);

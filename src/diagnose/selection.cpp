@@ -26,6 +26,8 @@ constexpr double kLeastPromised = 0.25;
 constexpr double kKnown = 0.5;
 /// Two fits of one model that differ by no more have found the same place.
 constexpr double kSame_nats = 5.0;
+/// Beside another candidate.
+constexpr double kAsGood_nats = 1.0;
 /// Relative error of a harmonic's order.
 constexpr double kHarmonic = 0.03;
 /// Of what the best one gained: enough to be worth a fit from elsewhere.
@@ -203,7 +205,8 @@ class Selector {
 };
 
 /// Those of a judged list that do as well as one with this evidence and log-likelihood. How many alternatives
-/// were tried for a candidate speaks against chance, not for another candidate.
+/// were tried for a candidate speaks against chance, not for another candidate; nor does it speak for another
+/// one that a candidate as good is no alarm by itself, where an effect is faint.
 std::vector<Candidate> rivals_among(const std::vector<Candidate>& candidates, std::string_view name,
                                     double evidence, const Hypothesis& best, double alarm) {
   std::vector<Candidate> rivals;
@@ -211,7 +214,9 @@ std::vector<Candidate> rivals_among(const std::vector<Candidate>& candidates, st
     if (candidate.name() == name || !candidate.is_fitted || !candidate.fitted.possible()) continue;
     const bool as_likely = candidate.fitted.degrees <= best.degrees &&
                            candidate.fitted.log_likelihood() > best.log_likelihood() - kClearly;
-    if (candidate.evidence > alarm && (as_likely || candidate.evidence > evidence - kClearly))
+    const bool as_evident = candidate.evidence > evidence - kClearly;
+    const bool as_good = candidate.fitted.log_likelihood() > best.log_likelihood() - kAsGood_nats;
+    if (candidate.evidence > alarm ? as_likely || as_evident : as_evident && as_good)
       rivals.push_back(candidate);
   }
   return rivals;

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <numbers>
 #include <string_view>
 #include <utility>
 
@@ -14,6 +15,7 @@
 #include "clampd/base/parallel.hpp"
 #include "clampd/experiment/reference.hpp"
 #include "discrimination_value.hpp"
+#include "drive_off.hpp"
 
 namespace clampd {
 
@@ -25,6 +27,7 @@ using Segments = std::vector<ManoeuvreSegment>;
 constexpr double kNominalShare = 0.9;
 constexpr double kLeastForce_N = 300.0;
 constexpr double kMostOpening_rad = 12.0;
+constexpr double kLeastSwing_rad = 1e-3;
 constexpr double kShortestSegment_s = 0.01;
 /// Of the rivals while the search goes on.
 constexpr int kSearchRelinearisations = 1;
@@ -52,6 +55,17 @@ constexpr ManoeuvreSegment to(double duration_s, double force_N) {
 }
 constexpr ManoeuvreSegment open_to(double duration_s, double opening_rad) {
   return {.duration_s = duration_s, .opening_rad = opening_rad};
+}
+
+/// To and fro about a place so fast that a lag and a delay of a fraction of a row differ: by how much is left
+/// at this frequency and what the motor has to spare there.
+Segments shaken(const ManoeuvreSegment& there, double frequency_Hz, double acceleration_rad_s2) {
+  constexpr double kDuration_s = 0.5;
+  const double per_s = 2.0 * std::numbers::pi * frequency_Hz;
+  return {there,
+          {.duration_s = kDuration_s,
+           .cycles = static_cast<int>(frequency_Hz * kDuration_s),
+           .swing_rad = 2.0 * acceleration_rad_s2 / (per_s * per_s)}};
 }
 
 /// Manoeuvres of every kind that shows an effect: what the search starts from.
@@ -93,6 +107,11 @@ std::vector<Prototype> prototypes() {
     for (const double t_s : {0.05, 0.1, 0.2, 0.4})
       all.push_back({"sweeps in the clearance",
                      repeated({open_to(t_s, opening_rad), open_to(t_s, 0.3)}, t_s < 0.2 ? 3 : 2, {})});
+  for (const double frequency_Hz : {60.0, 120.0, 200.0, 250.0}) {
+    all.push_back({"fast shaking in the clearance", shaken(open_to(0.1, 3.0), frequency_Hz, 6e3)});
+    for (const double force_N : {3e3, 8e3, 15e3})
+      all.push_back({"fast shaking under load", shaken(to(0.12, force_N), frequency_Hz, 3.5e3)});
+  }
   all.push_back({"fast and slow sweeps in the clearance",
                  {open_to(0.1, 8.0), open_to(0.1, 0.5), open_to(0.5, 8.0), open_to(0.5, 0.5)}});
   return all;
@@ -129,7 +148,10 @@ class Knobs {
       add(i, Knob::Duration, std::log(prototype[i].duration_s), std::log(kShortestSegment_s),
           std::log(options.longest_s), 0.3);
       if (is_hold(prototype, i)) continue;
-      if (prototype[i].force_N > 0.0)
+      if (prototype[i].swing_rad > 0.0)
+        add(i, Knob::Swing, std::log(prototype[i].swing_rad), std::log(kLeastSwing_rad),
+            std::log(kMostOpening_rad), 0.3);
+      else if (prototype[i].force_N > 0.0)
         add(i, Knob::Force, prototype[i].force_N / most_N, kLeastForce_N / most_N, 1.0, 0.15);
       else if (prototype[i].opening_rad > 0.0)
         add(i, Knob::Opening, prototype[i].opening_rad / kMostOpening_rad, 0.02, 1.0, 0.15);
@@ -153,6 +175,9 @@ class Knobs {
         case Knob::Opening:
           segment.opening_rad = kMostOpening_rad * x[i];
           break;
+        case Knob::Swing:
+          segment.swing_rad = std::exp(x[i]);
+          break;
       }
     }
     for (std::size_t i = 1; i < segments.size(); ++i)
@@ -167,7 +192,7 @@ class Knobs {
  private:
   struct Knob {
     std::size_t segment;
-    enum Kind { Duration, Force, Opening } kind;
+    enum Kind { Duration, Force, Opening, Swing } kind;
   };
   void add(std::size_t segment, Knob::Kind kind, double value, double low, double high, double size) {
     knobs_.push_back({segment, kind});
@@ -280,9 +305,7 @@ void by_rate(std::vector<Candidate>& candidates) {
 
 std::string in_words(const Discrimination& design, std::span<const RivalModel> rivals, std::string_view kind,
                      double enough_nats) {
-  std::string names = rivals.front().name;
-  for (std::size_t i = 1; i < rivals.size(); ++i)
-    names += fmt::format("{}{}", i + 1 == rivals.size() ? " and " : ", ", rivals[i].name);
+  const std::string names = names_of(rivals);
   const double duration_s = static_cast<double>(design.trajectory.size()) * kPeriod_s;
   if (!design.settles)
     return fmt::format(
@@ -308,6 +331,7 @@ Result<void> DiscriminationOptions::validate() const {
                                                           {"velocity_limit_rad_s", velocity_limit_rad_s},
                                                           {"shortest_s", shortest_s},
                                                           {"wanted_nats", wanted_nats},
+                                                          {"longest_off_s", longest_off_s},
                                                           {"enough_nats", enough_nats}};
   for (const auto& [name, value] : positive)
     if (!std::isfinite(value) || !(value > 0.0))
@@ -332,6 +356,8 @@ Result<Discrimination> design_discrimination(std::span<const RivalModel> rivals,
   if (valid) valid = check_rivals(rivals);
   if (!valid) return tl::unexpected(valid.error());
 
+  Discrimination off = design_drive_off(rivals, noise, options);
+  if (off.expected_evidence_nats >= options.wanted_nats) return off;
   const int threads = threads_or_all(options.threads);
   const RivalComparison comparison(rivals, noise, nominal, options);
   const Search search(comparison, nominal, options);
@@ -362,7 +388,7 @@ Result<Discrimination> design_discrimination(std::span<const RivalModel> rivals,
   const auto pairs = static_cast<int>(rivals.size() * (rivals.size() - 1) / 2);
   const int evaluations = std::max(1, options.refinement_evaluations / pairs);
   for_each_index(kept.size(), threads,
-              [&](std::size_t i) { kept[i] = search.refined(kept[i], evaluations); });
+                 [&](std::size_t i) { kept[i] = search.refined(kept[i], evaluations); });
   kept.push_back(candidates.front());
   // From here on with rivals that answer as well as they can.
   for_each_index(kept.size(), threads, [&](std::size_t i) {
@@ -396,6 +422,7 @@ Result<Discrimination> design_discrimination(std::span<const RivalModel> rivals,
   }
   design.settles = design.expected_evidence_nats >= options.enough_nats;
   design.why = in_words(design, rivals, best.kind, options.enough_nats);
+  if (!design.settles && off.settles) return off;
   return design;
 }
 

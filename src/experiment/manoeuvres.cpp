@@ -96,6 +96,7 @@ std::vector<double> plan_positions(std::span<const ManoeuvreSegment> segments,
   for (const ManoeuvreSegment& segment : segments) {
     const double from_rad = positions_rad.back();
     const double from_N = stiffness.force_N(from_rad);
+    const bool shakes = segment.cycles > 0 && segment.swing_rad > 0.0;
     const double to_rad =
         segment.force_N > 0.0 ? position_of(stiffness, segment.force_N) : -segment.opening_rad;
     const auto rows = static_cast<int>(std::lround(segment.duration_s / kPeriod_s));
@@ -103,7 +104,8 @@ std::vector<double> plan_positions(std::span<const ManoeuvreSegment> segments,
       const double s = static_cast<double>(k) / rows;
       if (segment.cycles > 0) {
         const double share = 0.5 - 0.5 * std::cos(2.0 * std::numbers::pi * segment.cycles * s);
-        positions_rad.push_back(position_of(stiffness, from_N + share * (segment.force_N - from_N)));
+        positions_rad.push_back(shakes ? from_rad - share * segment.swing_rad
+                                       : position_of(stiffness, from_N + share * (segment.force_N - from_N)));
       } else {
         positions_rad.push_back(from_rad + (to_rad - from_rad) * s * s * s * (10.0 + s * (-15.0 + 6.0 * s)));
       }

@@ -1,6 +1,7 @@
 #include "clampd/experiment/reference.hpp"
 
 #include <cmath>
+#include <span>
 #include <string_view>
 #include <utility>
 
@@ -20,6 +21,9 @@ Result<void> check_shape(const Run& run) {
   if (run.size() < 2 || run.size() > kMaximumRows)
     return failure(
         fmt::format("{}: a trajectory has 2 to {} rows, not {}", run.name, kMaximumRows, run.size()));
+  if (driven_runs(std::span(&run, 1)).empty())
+    return failure(
+        fmt::format("{}: the drive is off in all rows: that can be recorded, not tracked", run.name));
   const auto full = [&](const std::vector<double>& column) { return column.size() == run.size(); };
   if (!full(run.torque_Nm) || !full(run.velocity_rad_s) || !full(run.force_N) || !full(run.position_rad))
     return failure(fmt::format(

@@ -482,7 +482,8 @@ StepForecast forecast_of(const ExtendedFit& fit, const ExtendedParameters& model
 
 using namespace identify;
 
-std::vector<FitRun> fit_runs(std::span<const Run> runs) {
+std::vector<FitRun> fit_runs(std::span<const Run> runs,
+                             const std::optional<TorqueWhileOff>& torque_while_off) {
   std::vector<FitRun> prepared;
   for (const Run& run : runs) {
     CLAMPD_ASSERT(run.force_N.size() == run.size() && run.velocity_rad_s.size() == run.size());
@@ -490,6 +491,7 @@ std::vector<FitRun> fit_runs(std::span<const Run> runs) {
     prepared.push_back({static_cast<double>(prepared.size()), run.time_s, run.torque_Nm, run.force_N,
                         run.velocity_rad_s, all, all});
   }
+  if (!prepared.empty()) prepared.front().torque_while_off = torque_while_off;
   return prepared;
 }
 
@@ -595,7 +597,8 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
   return estimate;
 }
 
-ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start) {
+ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start,
+                          const std::optional<TorqueWhileOff>& torque_while_off) {
   ExtendedEstimate estimate;
   EstimatorOptions options;
   options.start = start;
@@ -613,7 +616,7 @@ ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& star
         first.initial_states.size() == runs.size() && first.initial_states[r].allFinite()
             ? Eigen::VectorXd(first.initial_states[r])
             : Eigen::VectorXd(initial_state_guess(runs[r], warm.parameters.base.theta)));
-  return fit_extended(fit_runs(runs), warm);
+  return fit_extended(fit_runs(runs, torque_while_off), warm);
 }
 
 ExtendedEstimate with_effect(const ExtendedEstimate& estimate, const EffectValues& effect) {

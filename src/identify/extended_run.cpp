@@ -154,6 +154,22 @@ void ExtendedRun::resize(std::size_t size, int n, int p, int l) {
   initial.resize(static_cast<std::size_t>(n * (l + p)));
 }
 
+namespace {
+
+/// Of the reading while the drive was off: what the model takes for a torque there, over the deviation.
+double off_error(const FitRun& run, const ExtendedBrake& brake) {
+  return brake.acting_torque(run.torque_while_off->mean_Nm) / run.torque_while_off->sd_Nm;
+}
+/// The same with its derivatives by all parameters.
+double off_error(const FitRun& run, const ExtendedBrake& brake, double* gradient) {
+  const double sd_Nm = run.torque_while_off->sd_Nm;
+  const double torque_Nm = brake.acting_torque(run.torque_while_off->mean_Nm, gradient);
+  for (int i = 0; i < brake.parameters(); ++i) gradient[i] /= sd_Nm;
+  return torque_Nm / sd_Nm;
+}
+
+}  // namespace
+
 bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedParameters& model,
                const Unknowns& unknowns, const Eigen::VectorXd& initial, const Variances& variances,
                Gains gains, ExtendedRun& out) {
@@ -180,6 +196,14 @@ bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedPara
     const int place = brake.free_states()[static_cast<std::size_t>(f)];
     state[place] += initial[2 + f];
     out.initial[static_cast<std::size_t>(place * (p + out.locals) + p + 2 + f)] = 1.0;
+  }
+
+  out.off.resize(0);
+  if (run.torque_while_off) {
+    const double error = off_error(run, brake, jacobian);
+    out.off.setZero(out.columns());
+    for (int c = 0; c < p; ++c) out.off[c] = jacobian[places[c]] * slopes[c];
+    out.off[out.columns() - 1] = error;
   }
 
   Covariance covariance(n);
@@ -249,6 +273,10 @@ double squares_of(const FitRun& run, const ExtendedBrake& brake, const Eigen::Ve
   double jacobian[kMostStates * (kMostStates + ExtendedBrake::kMostParameters + 2)];
   ExtendedBrake::State state = first_state(run, brake, initial);
   double squares = 0.0;
+  if (run.torque_while_off) {
+    const double error = off_error(run, brake);
+    squares += error * error;
+  }
   for (std::size_t k = 0; k < linearised.rows; ++k) {
     if (!ExtendedBrake::is_bounded(state)) return kNever;
     const RowInput row = row_input(run, k);
@@ -350,6 +378,7 @@ void compute_normal(const FitRun& run, ExtendedRun& out) {
   }
   out.normal.setZero(m, m);
   out.normal.selfadjointView<Eigen::Lower>().rankUpdate(out.innovations);
+  if (out.off.size() > 0) out.normal.selfadjointView<Eigen::Lower>().rankUpdate(out.off);
   out.normal.triangularView<Eigen::StrictlyUpper>() = out.normal.transpose();
 }
 

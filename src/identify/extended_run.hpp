@@ -72,6 +72,7 @@ struct ExtendedRun {
   std::vector<double> variance;      ///< 2, of the innovations
   std::vector<double> reference;     ///< n, before the row's readings are used
   std::vector<double> initial;       ///< n x (locals + p), of the first state
+  Eigen::VectorXd off;  ///< [J e] of the torque while the drive was off; empty if it is not known
   /// columns x 2 rows: [J e] over the standard deviation; zero where a reading does not count.
   Eigen::MatrixXd innovations;
   Eigen::MatrixXd normal;        ///< [J e]^T S^-1 [J e]

@@ -1,5 +1,6 @@
 #include "clampd/record/run.hpp"
 
+#include <algorithm>
 #include <array>
 #include <charconv>
 #include <cmath>
@@ -24,12 +25,13 @@ struct Column {
   double wrap = 0.0;
 };
 
-constexpr std::array<Column, 5> kColumns{{
+constexpr std::array<Column, 6> kColumns{{
     {"time_s", &Run::time_s, true},
     {"torque_Nm", &Run::torque_Nm, true},
     {"velocity_rad_s", &Run::velocity_rad_s, true},
     {"force_N", &Run::force_N, true},
     {"position_rad", &Run::position_rad, false},
+    {"drive_enabled", &Run::drive_enabled, false},
 }};
 
 struct Field {
@@ -181,6 +183,9 @@ Result<LoadedRun> parse_columns(const std::string& text, const std::string& name
           *value <= loaded.run.time_s.back())
         return at(fields[i].column, fmt::format("{} does not increase: {} after {}", header[i].text, *value,
                                                 loaded.run.time_s.back()));
+      if (targets[i] == &loaded.run.drive_enabled && *value != 0.0 && *value != 1.0)
+        return at(fields[i].column, fmt::format("{} is {}; it must be 1, or 0 where the drive was off",
+                                                header[i].text, *value));
       targets[i]->push_back(*value);
     }
   }
@@ -218,6 +223,50 @@ std::vector<Column> columns_of(const ColumnMap& map) {
 
 }  // namespace
 
+std::optional<TorqueWhileOff> torque_while_off(std::span<const Run> runs) {
+  std::vector<double> readings;
+  for (const Run& run : runs)
+    for (std::size_t k = 0; k < run.drive_enabled.size(); ++k)
+      if (run.drive_enabled[k] == 0.0) readings.push_back(run.torque_Nm[k]);
+  constexpr std::size_t kBatches = 10;
+  if (readings.size() < 2 * kBatches) return std::nullopt;
+  // Some drives tell nothing while they are off, as often as one asks.
+  if (std::ranges::count(readings, readings.front()) == std::ssize(readings)) return std::nullopt;
+  TorqueWhileOff result{.rows = readings.size()};
+  const auto count = static_cast<double>(readings.size());
+  for (const double reading : readings) result.mean_Nm += reading / count;
+  double squares = 0.0, batch_squares = 0.0;
+  for (const double reading : readings) squares += (reading - result.mean_Nm) * (reading - result.mean_Nm);
+  // What wanders is seen between batches and not between neighbours.
+  for (std::size_t b = 0; b < kBatches; ++b) {
+    const std::size_t begin = b * readings.size() / kBatches, end = (b + 1) * readings.size() / kBatches;
+    double sum = 0.0;
+    for (std::size_t k = begin; k < end; ++k) sum += readings[k] - result.mean_Nm;
+    batch_squares += sum * sum / static_cast<double>((end - begin) * (end - begin));
+  }
+  constexpr auto kCount = static_cast<double>(kBatches);
+  result.sd_Nm =
+      std::sqrt(std::max(squares / (count * (count - 1.0)), batch_squares / (kCount * (kCount - 1.0))));
+  return result;
+}
+
+std::optional<TorqueWhileOff> pooled(const std::optional<TorqueWhileOff>& a,
+                                     const std::optional<TorqueWhileOff>& b) {
+  if (!a || !b) return a ? a : b;
+  const auto of_a = static_cast<double>(a->rows), of_b = static_cast<double>(b->rows);
+  const double rows = of_a + of_b;
+  return TorqueWhileOff{(of_a * a->mean_Nm + of_b * b->mean_Nm) / rows,
+                        std::hypot(of_a * a->sd_Nm, of_b * b->sd_Nm) / rows, a->rows + b->rows};
+}
+
+std::vector<Run> driven_runs(std::span<const Run> runs) {
+  std::vector<Run> driven;
+  std::copy_if(runs.begin(), runs.end(), std::back_inserter(driven), [](const Run& run) {
+    return run.drive_enabled.empty() || std::ranges::count(run.drive_enabled, 1.0) > 0;
+  });
+  return driven;
+}
+
 Result<LoadedRun> parse_run(const std::string& text, const std::string& name) {
   return parse_columns(text, name, kColumns);
 }
@@ -235,19 +284,23 @@ Result<LoadedRun> read_run(const std::string& path, const ColumnMap& columns) {
 }
 
 std::string format_run(const Run& run) {
-  const bool has_position = !run.position_rad.empty();
+  std::vector<const std::vector<double>*> columns{&run.torque_Nm, &run.velocity_rad_s, &run.force_N};
   std::string text = "time_s,torque_Nm,velocity_rad_s,force_N";
-  text += has_position ? ",position_rad\n" : "\n";
+  if (!run.position_rad.empty()) {
+    text += ",position_rad";
+    columns.push_back(&run.position_rad);
+  }
+  if (!run.drive_enabled.empty()) {
+    text += ",drive_enabled";
+    columns.push_back(&run.drive_enabled);
+  }
+  text += '\n';
   text.reserve(text.size() + run.size() * 90);
   for (std::size_t i = 0; i < run.size(); ++i) {
     append_number(text, run.time_s[i]);
-    for (const std::vector<double>* values : {&run.torque_Nm, &run.velocity_rad_s, &run.force_N}) {
+    for (const std::vector<double>* values : columns) {
       text += ',';
       append_number(text, (*values)[i]);
-    }
-    if (has_position) {
-      text += ',';
-      append_number(text, run.position_rad[i]);
     }
     text += '\n';
   }

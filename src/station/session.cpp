@@ -151,6 +151,7 @@ CheckSession::CheckSession(const StationConfiguration& configuration, const Limi
   record_.instruments = instruments_json(configuration.instruments);
   record_.method = std::string(to_string(configuration.check.method));
   record_.simulated = configuration.simulated_brake;
+  record_.torque_while_off = context.torque_while_off;
   record_.started = format_utc(context.started_utc_ns);
   record_.repeats = repeats_;
 }
@@ -172,6 +173,7 @@ std::optional<Diagnosis> CheckSession::name_cause(CheckRecord& record) const {
   for (const RunRecord& run : record.runs) runs.push_back(run.run);
   DiagnoseOptions options;
   options.nominal = configuration_.model;
+  options.torque_while_off = record.torque_while_off;
   Result<Diagnosis> diagnosis = diagnoser_(runs, options);
   if (!diagnosis) {
     record.reason += fmt::format(" The cause could not be sought: {}.", diagnosis.error().message);

@@ -101,13 +101,26 @@ TEST_F(Store, KeepsTheCause) {
   EXPECT_EQ(loaded->cause, saved.cause);
 }
 
+TEST_F(Store, TheTorqueWhileOffReadsBackTheSameAndMayBeUnknown) {
+  CheckRecord saved = make_check_record();
+  saved.torque_while_off = TorqueWhileOff{0.1 / 3.0, 1e-4 / 3.0, 3000};
+  CheckRecord unknown = make_check_record();
+  unknown.id += "-unknown";
+  CheckStore store = open();
+  ASSERT_TRUE(store.save(saved));
+  ASSERT_TRUE(store.save(unknown));
+  EXPECT_EQ(store.load(saved.id)->torque_while_off, saved.torque_while_off);
+  EXPECT_EQ(store.load(unknown.id)->torque_while_off, std::nullopt);
+}
+
 /// Takes a database back to schema 3.
-void undo_steps_4_and_5(SQLite::Database& database) {
+void undo_steps_4_to_6(SQLite::Database& database) {
   database.exec(
       "DROP TABLE outbox_connections; DROP INDEX checks_by_part; DROP INDEX checks_by_batch; DROP INDEX "
       "checks_by_operator; "
       "DROP TABLE limits_revisions; DROP TABLE publication; DROP INDEX runs_kept; "
-      "ALTER TABLE runs DROP COLUMN bytes; ALTER TABLE runs DROP COLUMN removed; PRAGMA user_version = 3");
+      "ALTER TABLE runs DROP COLUMN bytes; ALTER TABLE runs DROP COLUMN removed; "
+      "ALTER TABLE checks DROP COLUMN torque_while_off; PRAGMA user_version = 3");
 }
 
 TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
@@ -117,11 +130,11 @@ TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
   }
   {
     SQLite::Database old(path, SQLite::OPEN_READWRITE);
-    undo_steps_4_and_5(old);
+    undo_steps_4_to_6(old);
     old.exec("ALTER TABLE checks DROP COLUMN cause");
     old.exec("PRAGMA user_version = 2");
   }
-  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 5"));
+  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 6"));
   CheckStore store = open();
   const auto loaded = store.load("last");
   ASSERT_TRUE(loaded) << loaded.error().message;
@@ -140,7 +153,7 @@ TEST_F(Store, BringsResultsFromBeforeRetentionUpToDate) {
   }
   {
     SQLite::Database old(path, SQLite::OPEN_READWRITE);
-    undo_steps_4_and_5(old);
+    undo_steps_4_to_6(old);
   }
   CheckStore store = open();
   const auto loaded = store.load("last");
@@ -290,7 +303,7 @@ TEST_F(Store, NoticesAChangedRun) {
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 5);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 6);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

@@ -199,6 +199,83 @@ TEST_P(EveryForm, HasExactDerivativesThroughStickAndSlip) {
   EXPECT_LT(wrong, compared / 200);
 }
 
+double elastic_N(double position) {
+  const ParameterVector theta = nominal_parameters();
+  const double x = std::max(0.0, position);
+  return x * x * (theta[k1] * x + theta[k2]);
+}
+
+double friction_of(double sliding_Nm, double resting_Nm, double velocity) {
+  const ParameterVector theta = nominal_parameters();
+  const double speed = velocity / theta[ws];
+  return sliding_Nm + (resting_Nm - sliding_Nm) / (1.0 + speed * speed) + theta[Tv] * std::abs(velocity);
+}
+
+TEST(ForceReading, OfALagOrADelayFollowsTheBendBetweenRows) {
+  constexpr double kLag_s = 0.4e-3, kLate = 0.4;
+  constexpr int kFine = 2000;  // steps in a row
+  const auto torque_Nm = [](int row) { return row % 4 < 2 ? 3.4 : -0.6; };
+  const ParameterVector theta = nominal_parameters();
+  const FixedParameters fixed;
+  const auto row_at = [&](int k) {
+    return RowInput{torque_Nm(k - 1), torque_Nm(k), torque_Nm(k + 1), torque_Nm(k + 2), 1e-3 * k, 1e-3, 0.0};
+  };
+
+  double position = 12.0, velocity = 60.0;
+  double filtered = elastic_N(position);
+  std::vector<double> before(kFine, filtered);
+  const ExtendedBrake brake{ExtendedParameters{}};
+  const ExtendedBrake lagging({BrakeParameters{}, {{find_effect("force-lag"), {kLag_s}}}});
+  const ExtendedBrake late({BrakeParameters{}, {{find_effect("channel-skew"), {kLate, 0, 1}}}});
+  ExtendedBrake::State state = brake.settled(position, velocity, row_at(0));
+  ExtendedBrake::State of_lagging = lagging.settled(position, velocity, row_at(0));
+  ExtendedBrake::State of_late = late.settled(position, velocity, row_at(0));
+  double bend = 0.0;
+  for (int k = 0; k < 60; ++k) {
+    ASSERT_GT(velocity, 5.0) << "one direction";
+    const double at_once = brake.read(state, row_at(k)).force_N;
+    if (k > 8) {  // the filter began as if the brake had stood still
+      const double delayed = before[static_cast<std::size_t>((1.0 - kLate) * kFine)];
+      EXPECT_NEAR(lagging.read(of_lagging, row_at(k)).force_N - at_once, filtered - elastic_N(position),
+                  0.05);
+      EXPECT_NEAR(late.read(of_late, row_at(k)).force_N - at_once, delayed - elastic_N(position), 0.05);
+    }
+    state = brake.advance(state, row_at(k));
+    of_lagging = lagging.advance(of_lagging, row_at(k));
+    of_late = late.advance(of_late, row_at(k));
+    const double first = elastic_N(position);
+    for (int i = 0; i < kFine; ++i) {
+      constexpr double kStep = 1e-3 / kFine;
+      before[static_cast<std::size_t>(i)] = elastic_N(position);
+      const double friction = friction_of(theta[TC], theta[Ts0] + theta[mus] * elastic_N(position), velocity);
+      velocity +=
+          kStep / fixed.inertia_kg_m2 * (torque_Nm(k) - fixed.ratio_m_rad * elastic_N(position) - friction);
+      position += kStep * velocity;
+      const double midway_N = 0.5 * (before[static_cast<std::size_t>(i)] + elastic_N(position));
+      filtered += (midway_N - filtered) * -std::expm1(-kStep / kLag_s);
+    }
+    bend = std::max(bend, std::abs(first - 2.0 * before[kFine / 2] + elastic_N(position)));
+  }
+  EXPECT_GT(bend, 1.0) << "N: or straight lines would do";
+}
+
+TEST(ExtendedBrake, KnowsWhatActsWhileTheTorqueReadsTheSame) {
+  const ExtendedBrake brake({BrakeParameters{},
+                             {{find_effect("torque-offset"), {0.02}},
+                              {find_effect("torque-gain"), {0.1}},
+                              {find_effect("torque-lag"), {0.002}},
+                              {find_effect("channel-skew"), {0.4, 1, 3}},
+                              {find_effect("cogging"), {0.05, 0.0, 6.0}}}});
+  // The offset is added to what was multiplied.
+  EXPECT_NEAR(brake.acting_torque(0.5), (0.5 - 0.02) / 1.1, 1e-12);
+  std::vector<double> gradient(static_cast<std::size_t>(brake.parameters()), 9.0);
+  EXPECT_DOUBLE_EQ(brake.acting_torque(0.5, gradient.data()), brake.acting_torque(0.5));
+  for (std::size_t i = 0; i < gradient.size(); ++i) {
+    const bool is_offset = brake.places()[i].effect == 0, is_gain = brake.places()[i].effect == 1;
+    EXPECT_NEAR(gradient[i], is_offset ? -1.0 / 1.1 : is_gain ? -(0.5 - 0.02) / 1.21 : 0.0, 1e-12) << i;
+  }
+}
+
 /// A torque held from row to row, its reading the mean of a row's time that began some of it earlier.
 TEST(ChannelSkew, UndoesTheMixtureThatALateTorqueReadsAs) {
   constexpr double kLate = 0.6;
@@ -225,18 +302,6 @@ TEST(ChannelSkew, UndoesTheMixtureThatALateTorqueReadsAs) {
   };
   EXPECT_GT(apart(0.0), 2.0) << "rad/s, taken as it was read";
   EXPECT_LT(apart(kLate), 0.35 * apart(0.0)) << "linear interpolation alone: 0.57";
-}
-
-double elastic_N(double position) {
-  const ParameterVector theta = nominal_parameters();
-  const double x = std::max(0.0, position);
-  return x * x * (theta[k1] * x + theta[k2]);
-}
-
-double friction_of(double sliding_Nm, double resting_Nm, double velocity) {
-  const ParameterVector theta = nominal_parameters();
-  const double speed = velocity / theta[ws];
-  return sliding_Nm + (resting_Nm - sliding_Nm) / (1.0 + speed * speed) + theta[Tv] * std::abs(velocity);
 }
 
 /// The models of Canudas de Wit, Olsson, Astrom and Lischinsky (1995) and of Dupont, Hayward, Armstrong and

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -151,14 +152,39 @@ RivalModel model(std::string name, EffectValues values) {
 
 TEST(Discrimination, ExactTwinsCannotBeSettledAndItSaysSo) {
   const std::vector<RivalModel> twins = {
-      model("torque-offset", {find_effect("torque-offset"), {0.01}}),
-      model("friction-asymmetry", {find_effect("friction-asymmetry"), {0.01, 0.0, 1.0}})};
+      model("velocity-lag", {find_effect("velocity-lag"), {0.1e-3}}),
+      model("channel-skew", {find_effect("channel-skew"), {0.1, 0.0, 2.0}})};
   const Result<Discrimination> design = design_discrimination(twins, {{50.0, 0.8}, 0.01}, {}, quick());
   ASSERT_TRUE(design) << design.error().message;
   EXPECT_FALSE(design->settles);
   EXPECT_LT(design->expected_evidence_nats, 2.0);
   EXPECT_EQ(design->repeats, 10);
   EXPECT_THAT(design->why, HasSubstr("cannot be told apart"));
+}
+
+/// While it slides and while it sticks, a constant torque is one whatever brings it about.
+TEST(Discrimination, TheDriveOffTellsAnOffsetOfTheReadingFromAnAsymmetry) {
+  std::vector<RivalModel> twins = {
+      model("torque-offset", {find_effect("torque-offset"), {0.002}}),
+      model("friction-asymmetry", {find_effect("friction-asymmetry"), {0.002, 0.0, 1.0}})};
+  for (RivalModel& twin : twins) twin.covariance.setZero();
+  twins[0].covariance(7, 7) = std::pow(0.0002, 2);
+  const NoiseLevels noise{{50.0, 0.8}, 0.01};
+  const Result<Discrimination> design = design_discrimination(twins, noise, {}, quick());
+  ASSERT_TRUE(design) << design.error().message;
+  EXPECT_TRUE(design->settles);
+  EXPECT_EQ(design->name, "drive off");
+  EXPECT_THAT(design->why, HasSubstr("torque-offset and friction-asymmetry would read differently"));
+  EXPECT_EQ(design->repeats, 1);
+  EXPECT_GE(design->expected_evidence_nats, DiscriminationOptions{}.wanted_nats);
+  EXPECT_THAT(driven_runs(std::span(&design->trajectory, 1)), ::testing::IsEmpty());
+  // No longer than it takes: 1/2 (0.002 / sd)^2 nats, the sd of both, if the offset is not there.
+  const double sd_Nm = std::hypot(0.01 / std::sqrt(static_cast<double>(design->trajectory.size())), 0.0002);
+  EXPECT_NEAR(design->expected_evidence_nats, 0.5 * std::pow(0.002 / sd_Nm, 2), 1.0);
+  EXPECT_FALSE(build_reference(design->trajectory, {})) << "nothing to track";
+
+  twins[0].parameters.effects[0].values[0] = twins[1].parameters.effects[0].values[0] = 2e-5;
+  EXPECT_FALSE(design_discrimination(twins, noise, {}, quick())->settles) << "too faint for ten seconds";
 }
 
 TEST(Discrimination, CountsTheTwoOfThreeThatAreHardestToTellApart) {

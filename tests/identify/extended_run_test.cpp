@@ -20,7 +20,7 @@ TEST(ExtendedRun, SquaresAreThoseOfTheNormalEquations) {
   const std::vector<clampd::Run> runs{
       support::run_reference_brake({}, BrakeState{0.0, 0.0}, support::strong_torque(), kNoise, generator)
           .run};
-  std::vector<FitRun> fitted = fit_runs(runs);
+  std::vector<FitRun> fitted = fit_runs(runs, TorqueWhileOff{0.004, 0.0007, 500});
   FitRun& run = fitted.front();
   run.use_force[40] = run.use_velocity[40] = run.use_velocity[41] = 0;
 
@@ -28,6 +28,7 @@ TEST(ExtendedRun, SquaresAreThoseOfTheNormalEquations) {
   model.effects = {{find_effect("cogging"), {0.01, 0.005, 11.3}},
                    {find_effect("presliding"), {0.0004, 4.0, 0.1}},
                    {find_effect("force-lag"), {0.0003}},
+                   {find_effect("torque-offset"), {0.002}},
                    {find_effect("force-hum"), {60.0}}};
   const auto linearised_at = [&](const ExtendedParameters& at, const Eigen::VectorXd& initial, Gains gains,
                                  ExtendedRun& out) {
@@ -43,11 +44,15 @@ TEST(ExtendedRun, SquaresAreThoseOfTheNormalEquations) {
 
   model.base.theta[mus] *= 1.05;
   model.effects[2].values[0] = 0.0006;
+  model.effects[3].values[0] = -0.003;
   initial << 0.02, 0.3, 40.0, -25.0;
   const double squares = squares_of(run, ExtendedBrake(model), initial, linear);
   linearised_at(model, initial, Gains::Kept, linear);
   const Eigen::Index data = linear.columns() - 1;
   EXPECT_NEAR(squares, linear.normal(data, data), 1e-9 * squares);
+  run.torque_while_off.reset();
+  EXPECT_NEAR(squares - squares_of(run, ExtendedBrake(model), initial, linear), 100.0, 1e-6)
+      << "((0.004 + 0.003) / 0.0007)^2";
 
   model.base.theta[k2] = 1e12;  // flies apart
   EXPECT_EQ(squares_of(run, ExtendedBrake(model), initial, linear), std::numeric_limits<double>::infinity());

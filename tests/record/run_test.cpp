@@ -1,9 +1,12 @@
 #include "clampd/record/run.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <random>
+#include <span>
 #include <string>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -58,6 +61,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadInput{"short_row", kHeader + "0,0,0,0\n1,0,0\n", "3:6", "3 fields, the header 4"},
         BadInput{"time_stands", kHeader + "0,0,0,0\n0,0,0,0\n", "3:1", "time_s does not increase: 0 after 0"},
         BadInput{"time_back", kHeader + "0.5,0,0,0\n0.4,0,0,0\n", "3:1", "does not increase: 0.4 after 0.5"},
+        BadInput{"drive_half_on", "time_s,drive_enabled,torque_Nm,velocity_rad_s,force_N\n0,0.5,0,0,0\n",
+                 "2:3", "drive_enabled is 0.5; it must be 1, or 0"},
         BadInput{"gap", kHeader + "0,0,0,0\n\n1,0,0,0\n", "3:1", "empty line"},
         BadInput{"binary",
                  std::string("\x7f"
@@ -122,6 +127,64 @@ TEST(FormatRun, ReadsBackTheSameDoubles) {
   EXPECT_EQ(loaded->run.force_N, run.force_N);
   EXPECT_EQ(loaded->run.position_rad, run.position_rad);
   EXPECT_TRUE(std::signbit(loaded->run.velocity_rad_s[0]));
+}
+
+clampd::Run torque_readings(const std::vector<double>& torque_Nm, double enabled) {
+  clampd::Run run;
+  for (const double torque : torque_Nm) {
+    run.time_s.push_back(1e-3 * static_cast<double>(run.size()));
+    run.torque_Nm.push_back(torque);
+    run.drive_enabled.push_back(enabled);
+  }
+  run.velocity_rad_s = run.force_N = std::vector<double>(run.size(), 0.0);
+  return run;
+}
+
+std::vector<double> noise(std::size_t count, double mean, unsigned seed) {
+  std::mt19937_64 random(seed);
+  std::normal_distribution<double> normal(mean, 0.01);
+  std::vector<double> values(count);
+  std::ranges::generate(values, [&] { return normal(random); });
+  return values;
+}
+
+TEST(TorqueWhileOff, IsTheMeanOfTheRowsWithTheDriveOffAndHowSureThatIs) {
+  clampd::Run off = torque_readings(noise(1000, 0.03, 1), 0.0);
+  const clampd::Run on = torque_readings(noise(1000, 1.0, 2), 1.0);
+  const auto read_back = parse_run(format_run(off), "off.csv");
+  ASSERT_TRUE(read_back) << read_back.error().message;
+  EXPECT_EQ(read_back->run.drive_enabled, off.drive_enabled);
+  const std::vector runs{off, on};
+  const auto torque = torque_while_off(runs);
+  ASSERT_TRUE(torque);
+  EXPECT_EQ(torque->rows, 1000U);
+  EXPECT_NEAR(torque->mean_Nm, 0.03, 4.0 * 0.01 / std::sqrt(1000.0));
+  EXPECT_GT(torque->sd_Nm, 0.9 * 0.01 / std::sqrt(1000.0));
+  EXPECT_LT(torque->sd_Nm, 2.0 * 0.01 / std::sqrt(1000.0));
+  EXPECT_THAT(driven_runs(runs), testing::SizeIs(1));
+
+  // A slow wander is no noise that averages out.
+  for (std::size_t k = 0; k < off.size(); ++k)
+    off.torque_Nm[k] += 0.01 * std::sin(6.28 * static_cast<double>(k) / 1000.0);
+  EXPECT_GT(torque_while_off(std::span(&off, 1))->sd_Nm, 4.0 * torque->sd_Nm);
+}
+
+TEST(TorqueWhileOff, IsNotKnownFromFewReadingsNorFromOnesThatNeverChange) {
+  const clampd::Run few = torque_readings(noise(19, 0.0, 1), 0.0);
+  EXPECT_EQ(torque_while_off(std::span(&few, 1)), std::nullopt);
+  const clampd::Run dead = torque_readings(std::vector<double>(1000, 0.0), 0.0);
+  EXPECT_EQ(torque_while_off(std::span(&dead, 1)), std::nullopt);
+  EXPECT_THAT(driven_runs(std::span(&dead, 1)), testing::IsEmpty());
+}
+
+TEST(TorqueWhileOff, PoolsByRows) {
+  const TorqueWhileOff once{0.01, 0.003, 100}, longer{0.04, 0.001, 200};
+  EXPECT_EQ(pooled(once, std::nullopt), once);
+  EXPECT_EQ(pooled(std::nullopt, longer), longer);
+  const auto both = pooled(once, longer);
+  EXPECT_EQ(both->rows, 300U);
+  EXPECT_NEAR(both->mean_Nm, 0.03, 1e-15);
+  EXPECT_NEAR(both->sd_Nm, std::hypot(0.003, 0.002) / 3.0, 1e-15);
 }
 
 TEST(ParseRun, NeverCrashesOnDamagedText) {

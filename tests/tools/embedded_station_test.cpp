@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -27,6 +28,49 @@ TEST(EmbeddedStation, TwentyRepeatsWithinThirtySecondsOfBenchTime) {
   EXPECT_EQ(record.timing.lost_samples, 0U);
   EXPECT_GT(record.timing.bus_load, 0.3);
   EXPECT_LT(record.timing.bus_load, 0.5);
+}
+
+TEST(EmbeddedStation, StandsByWithTheDriveOff) {
+  sim::PlantConfiguration brake = plant(1);
+  brake.effects.torque_offset_Nm = 0.05;
+  EmbeddedStation station(prepared(), brake);
+  ASSERT_TRUE(station.run_check(request(1), nullptr, nullptr));
+  const auto off = station.stand_by(400);
+  ASSERT_TRUE(off) << off.error().message;
+  EXPECT_EQ(off->size(), 400U);
+  EXPECT_THAT(driven_runs(std::span(&*off, 1)), ::testing::IsEmpty());
+  const auto torque = torque_while_off(std::span(&*off, 1));
+  ASSERT_TRUE(torque);
+  EXPECT_NEAR(torque->mean_Nm, 0.05, 5.0 * torque->sd_Nm);
+}
+
+TEST(CheckConductor, RemembersTheTorqueBeforeTheCheckForTheRecord) {
+  PreparedStation station = prepared();
+  sim::PlantConfiguration configuration = plant(1);
+  configuration.effects.torque_offset_Nm = 0.05;
+  can::EmbeddedBus bus(1e6);
+  can::CanBrake port(bus.end(can::EmbeddedBus::End::Station), station.codec);
+  plant::Plant brake(bus.end(can::EmbeddedBus::End::Brake), station.codec, configuration, nullptr);
+  rt::ControlCore core(port, station.supervisor);
+  CheckConductor conductor(station, core, nullptr, WorkerMode::Synchronous);
+  std::int64_t now_ns = 0;
+  const auto advance = [&] {
+    brake.tick(now_ns, 0, 0);
+    core.tick(now_ns + kPeriod_ns / 2, 0, 0);
+    now_ns += kPeriod_ns;
+    return conductor.pump({now_ns, now_ns});
+  };
+  for (int check = 0; check < 2; ++check) {
+    for (int k = 0; k < 4000; ++k) ASSERT_FALSE(advance());
+    ASSERT_TRUE(conductor.begin(request(1), {now_ns, now_ns}));
+    std::optional<CheckRecord> record;
+    while (!record) record = advance();
+    EXPECT_EQ(record->fault, FaultCause::None) << record->reason;
+    ASSERT_TRUE(record->torque_while_off);
+    EXPECT_EQ(record->torque_while_off->rows, 3000U);
+    EXPECT_NEAR(record->torque_while_off->mean_Nm, 0.05, 5.0 * record->torque_while_off->sd_Nm);
+    EXPECT_NEAR(check_json(*record)["torque_while_off"]["mean_Nm"], record->torque_while_off->mean_Nm, 1e-12);
+  }
 }
 
 TEST(EmbeddedStation, AnOperatorStopAborts) {

@@ -2,6 +2,7 @@
 
 #include "tools/diagnosis/settle.hpp"
 
+#include <span>
 #include <string>
 #include <vector>
 
@@ -37,11 +38,11 @@ std::vector<Run> drive(const sim::PlantConfiguration& plant, const Run& trajecto
       .value();
 }
 
-std::vector<Run> two_optimal_runs(const sim::PlantConfiguration& plant) {
+std::vector<Run> optimal_runs(const sim::PlantConfiguration& plant, int count = 2) {
   return drive(
       plant,
       response_to({kKnownRobustBlocks_Nm.begin(), kKnownRobustBlocks_Nm.end()}, kKnownRobustBlockSamples, {}),
-      2);
+      count);
 }
 
 using Runs = std::vector<Run>;
@@ -67,7 +68,7 @@ Diagnosis ambiguous(const std::vector<Run>& runs, const std::vector<EffectValues
 
 TEST(Settle, RunsTheExperimentAndNamesTheCause) {
   const sim::PlantConfiguration plant = plant_with("inertia-error", 0.01);
-  const Runs runs = two_optimal_runs(plant);
+  const Runs runs = optimal_runs(plant);
   const Diagnosis before =
       ambiguous(runs, {{find_effect("torque-gain"), {-0.01}}, {find_effect("inertia-error"), {0.01}}});
   int driven = 0;
@@ -93,9 +94,9 @@ TEST(Settle, RunsTheExperimentAndNamesTheCause) {
 }
 
 TEST(Settle, TwinsAreNotDrivenFor) {
-  const Runs runs = two_optimal_runs(plant_with("torque-offset", 0.02));
+  const Runs runs = optimal_runs(plant_with("velocity-lag", 0.1e-3));
   const Diagnosis before = ambiguous(
-      runs, {{find_effect("torque-offset"), {0.02}}, {find_effect("friction-asymmetry"), {0.02, 0.0, 1.0}}});
+      runs, {{find_effect("velocity-lag"), {0.1e-3}}, {find_effect("channel-skew"), {0.1, 0.0, 2.0}}});
   const auto settlement = settle(before, runs,
                                  [](const Trajectory&, int) -> Driven {
                                    ADD_FAILURE() << "nothing was to be driven";
@@ -109,8 +110,38 @@ TEST(Settle, TwinsAreNotDrivenFor) {
   EXPECT_FALSE(next_experiment_for(before, {}));
 }
 
+class DriveOff : public ::testing::TestWithParam<std::string> {};
+
+TEST_P(DriveOff, TellsAnOffsetOfTheTorqueReadingFromAnAsymmetryOfFriction) {
+  const sim::PlantConfiguration plant = plant_with(GetParam(), 0.02);
+  const Runs runs = optimal_runs(plant, 4);
+  const Diagnosis before = ambiguous(
+      runs, {{find_effect("torque-offset"), {0.02}}, {find_effect("friction-asymmetry"), {0.02, 0.0, 1.0}}});
+  std::size_t off = 0;
+  const auto settlement = settle(before, runs,
+                                 [&](const Trajectory& trajectory, int repeats) -> Driven {
+                                   EXPECT_TRUE(driven_runs(std::span(&trajectory, 1)).empty());
+                                   EXPECT_EQ(repeats, 1);
+                                   off += trajectory.size();
+                                   return Runs{simulate_drive_off(plant, trajectory.size())};
+                                 },
+                                 {});
+  ASSERT_TRUE(settlement) << settlement.error().message;
+  EXPECT_EQ(settlement->diagnosis.verdict, DiagnosisVerdict::Explained) << settlement->words;
+  ASSERT_EQ(settlement->diagnosis.effects.size(), 1U);
+  EXPECT_EQ(settlement->diagnosis.effects.front().name, GetParam());
+  ASSERT_TRUE(settlement->diagnosis.torque_while_off);
+  EXPECT_EQ(settlement->diagnosis.torque_while_off->rows, off);
+  EXPECT_THAT(settlement->words, HasSubstr("settled after one experiment"));
+}
+
+INSTANTIATE_TEST_SUITE_P(Settle, DriveOff, ::testing::Values("torque-offset", "friction-asymmetry"),
+                         [](const auto& one) {
+                           return one.param == "torque-offset" ? "Offset" : "Asymmetry";
+                         });
+
 TEST(Settle, ABrakeThatCannotBeDrivenEndsIt) {
-  const Runs runs = two_optimal_runs(plant_with("inertia-error", 0.01));
+  const Runs runs = optimal_runs(plant_with("inertia-error", 0.01));
   const auto settlement =
       settle(ambiguous(runs, {{find_effect("torque-gain"), {-0.01}}, {find_effect("inertia-error"), {0.01}}}),
              runs, [](const Trajectory&, int) -> Driven { return failure("the brake is gone"); }, {});

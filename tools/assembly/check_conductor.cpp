@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <future>
+#include <span>
 #include <utility>
 
 #include <fmt/format.h>
@@ -54,9 +55,8 @@ Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
   if (state != StationState::Idle)
     return failure(fmt::format("the station is not ready: it is in {}", to_string(state)));
 
-  Sample stale;
-  while (core_.ring().pop(stale)) {
-  }
+  Sample before;
+  while (core_.ring().pop(before)) off_.consume(before);
   if (request.repeats > 0)
     plan_.repeats = static_cast<std::uint16_t>(request.repeats);
   else
@@ -66,6 +66,8 @@ Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
   context.trajectory_sha256 = station_.trajectory_sha256;
   context.software_version = std::string(kVersion);
   context.started_utc_ns = now.utc_ns;
+  const Run off = off_.run();
+  context.torque_while_off = torque_while_off(std::span(&off, 1));
   session_ = std::make_unique<CheckSession>(
       station_.configuration, station_.limits, request, context,
       station_.model ? estimator_of(*station_.model) : estimator_of(station_.configuration.check.method),
@@ -82,8 +84,7 @@ Result<void> CheckConductor::begin(const CheckRequest& request, Instant now) {
 std::optional<CheckRecord> CheckConductor::pump(Instant now) {
   if (concluding()) {
     Sample idle;
-    while (core_.ring().pop(idle)) {
-    }
+    while (core_.ring().pop(idle)) off_.consume(idle);
     if (conclusion_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return std::nullopt;
     return keep(conclusion_.get(), now);
   }
@@ -92,11 +93,13 @@ std::optional<CheckRecord> CheckConductor::pump(Instant now) {
   const bool finished =
       busy() && core_.status().checks_finished.load(std::memory_order_acquire) != finished_before_;
   Sample sample;
-  while (core_.ring().pop(sample))
+  while (core_.ring().pop(sample)) {
+    off_.consume(sample);
     if (busy() && sample.phase != CheckPhase::None) {
       session_->consume(sample);
       if (watcher_) watcher_(sample);
     }
+  }
   if (finished) {
     if (mode_ == WorkerMode::Synchronous) return keep(session_->finish(outcome_at(now)), now);
     conclusion_ =

@@ -9,6 +9,7 @@
 
 #include "clampd/archive/store.hpp"
 #include "clampd/record/check_record.hpp"
+#include "clampd/station/drive_off.hpp"
 #include "clampd/station/session.hpp"
 #include "rt/control_core.hpp"
 #include "tools/assembly/prepared_station.hpp"
@@ -65,6 +66,7 @@ class CheckConductor {
 
   const PreparedStation& station_;
   rt::ControlCore& core_;
+  DriveOffReadings off_;
   CheckStore* store_;
   WorkerMode mode_;
   std::function<std::string(FaultCause)> explain_;

@@ -4,9 +4,12 @@
 #include <optional>
 #include <utility>
 
+#include <fmt/format.h>
+
 #include "clampd/base/clock.hpp"
 #include "clampd/experiment/reference.hpp"
 #include "clampd/record/checksum.hpp"
+#include "clampd/station/drive_off.hpp"
 #include "tools/assembly/check_conductor.hpp"
 
 namespace clampd::assembly {
@@ -53,6 +56,19 @@ Result<CheckRecord> EmbeddedStation::run_check(const CheckRequest& request, Chec
         !progress(status.phase.load(), status.repeat.load(), conductor.progress().repeats))
       core_.requests().stop.store(true);
   }
+}
+
+Result<Run> EmbeddedStation::stand_by(std::size_t rows) {
+  DriveOffReadings readings(rows);
+  while (readings.rows() < rows) {
+    advance_one_period();
+    Sample sample;
+    while (core_.ring().pop(sample)) readings.consume(sample);
+    if (core_.status().state.load() == StationState::Fault)
+      return failure(fmt::format("the station is in FAULT ({}) while the drive is off",
+                                 to_string(core_.status().fault.load())));
+  }
+  return readings.run();
 }
 
 Result<void> EmbeddedStation::use_trajectory(const Run& trajectory) {

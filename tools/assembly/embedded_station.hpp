@@ -31,6 +31,9 @@ class EmbeddedStation {
   /// One check to its record. Errors: the request is not valid.
   Result<CheckRecord> run_check(const CheckRequest& request, CheckStore* store, const Progress& progress);
 
+  /// What the brake reads in so many samples with the drive off. Errors: the station is in FAULT.
+  Result<Run> stand_by(std::size_t rows);
+
   /// Checks from now on replay this trajectory of the nominal brake, on the same brake, under the same limits
   /// and supervisor. Errors: those of build_reference().
   Result<void> use_trajectory(const Run& trajectory);

@@ -1,5 +1,6 @@
 #include <filesystem>
 #include <memory>
+#include <span>
 
 #include <fmt/format.h>
 
@@ -75,9 +76,18 @@ int simulate(const SimulateOptions& options) {
   const BrakeParameters nominal;
   const Result<Run> trajectory = make_manoeuvre(options.manoeuvre, nominal, optimal->run);
   if (!trajectory) return cli::refuse(trajectory.error());
-  const Result<Reference> reference = build_reference(*trajectory, nominal);
-  if (!reference) return cli::refuse(reference.error());
-  const Result<std::vector<Run>> runs = simulate_manoeuvre(*plant, *reference, nominal, options.repeats);
+  Result<std::vector<Run>> runs = std::vector<Run>();
+  if (driven_runs(std::span(&*trajectory, 1)).empty()) {
+    for (std::uint64_t repeat = 0; repeat < options.repeats; ++repeat) {
+      sim::PlantConfiguration other = *plant;
+      other.seed += repeat;
+      runs->push_back(simulate_drive_off(other, trajectory->size()));
+    }
+  } else {
+    const Result<Reference> reference = build_reference(*trajectory, nominal);
+    if (!reference) return cli::refuse(reference.error());
+    runs = simulate_manoeuvre(*plant, *reference, nominal, options.repeats);
+  }
   if (!runs) {
     cli::print_error(runs.error().message);
     return cli::kStation;

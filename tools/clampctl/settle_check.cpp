@@ -1,5 +1,6 @@
 #include "tools/clampctl/settle_check.hpp"
 
+#include <span>
 #include <utility>
 #include <vector>
 
@@ -45,6 +46,7 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
 
   SettleOptions options;
   options.diagnose.nominal = nominal;
+  options.diagnose.torque_while_off = record.torque_while_off;
   options.diagnose.progress = [&line](double share, const std::string& words) { line.show(share, words); };
   std::string announced;
   options.announce = [&](const NextExperiment& next) {
@@ -52,6 +54,8 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
     announced += fmt::format("Next experiment: {}.\n", next.why);
   };
   const Drive drive = [&](const Run& trajectory, int repeats) -> Result<std::vector<Run>> {
+    if (driven_runs(std::span(&trajectory, 1)).empty())
+      return station.stand_by(trajectory.size()).map([](Run&& off) { return std::vector{std::move(off)}; });
     if (const Result<void> usable = station.use_trajectory(trajectory); !usable)
       return tl::unexpected(usable.error());
     CheckRequest request;

@@ -1,6 +1,7 @@
 #include "tools/diagnosis/json.hpp"
 
 #include <cmath>
+#include <span>
 
 #include <nlohmann/json.hpp>
 
@@ -104,7 +105,13 @@ ordered_json next_json(const std::optional<NextExperiment>& next) {
           {"time_s", numbers(run.time_s)},
           {"torque_Nm", numbers(run.torque_Nm)},
           {"velocity_rad_s", numbers(run.velocity_rad_s)},
-          {"force_N", numbers(run.force_N)}};
+          {"force_N", numbers(run.force_N)},
+          {"drive_off", driven_runs(std::span(&run, 1)).empty()}};
+}
+
+ordered_json torque_while_off_json(const std::optional<TorqueWhileOff>& torque) {
+  if (!torque) return nullptr;
+  return {{"mean_Nm", torque->mean_Nm}, {"sd_Nm", torque->sd_Nm}, {"rows", torque->rows}};
 }
 
 /// Null everywhere if nothing was held out, so that a reader finds the same keys in every document.
@@ -145,6 +152,7 @@ ordered_json diagnosis_json(const Diagnosis& diagnosis, const DiagnosisSubject& 
                                      })},
           {"misfit", misfit_json(diagnosis.misfit)},
           {"next_experiment", next_json(diagnosis.next_experiment)},
+          {"torque_while_off", torque_while_off_json(diagnosis.torque_while_off)},
           {"gain", gain_json(diagnosis, subject)},
           {"parameters_before", parameters_json(diagnosis.parameters_before)},
           {"parameters_after", parameters_json(diagnosis.parameters_after)},

@@ -73,6 +73,15 @@ SimulatedCheck simulate_check(const sim::PlantConfiguration& plant, const Refere
   return check;
 }
 
+Run simulate_drive_off(const sim::PlantConfiguration& plant, std::size_t rows) {
+  sim::SimulatedBrake brake(plant);
+  SimulatedRun run;
+  for (std::size_t k = 0; k < rows; ++k) append(run, brake.sample(), brake);
+  run.readings.name = "drive off";
+  run.readings.drive_enabled.assign(rows, 0.0);
+  return std::move(run.readings);
+}
+
 Result<std::vector<Run>> simulate_manoeuvre(const sim::PlantConfiguration& plant, const Reference& reference,
                                             const BrakeParameters& nominal, std::uint16_t repeats) {
   SimulatedCheck check = simulate_check(plant, reference, nominal, {.repeats = repeats});

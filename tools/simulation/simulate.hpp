@@ -37,12 +37,15 @@ struct SimulatedCheck {
 struct SimulationOptions {
   std::uint16_t repeats = 1;
   std::uint32_t first_run = 0;  ///< how many this brake has done before, for what changes from run to run
-  double timeout_s = 600.0;  ///< of bench time; then the fault is SequenceTimeout
+  double timeout_s = 600.0;     ///< of bench time; then the fault is SequenceTimeout
 };
 
 /// Runs a whole check (open, tare, approach, repeats, release) of the brake `plant`, tracking `reference`.
 SimulatedCheck simulate_check(const sim::PlantConfiguration& plant, const Reference& reference,
                               const BrakeParameters& nominal, const SimulationOptions& options = {});
+
+/// So many readings of the brake in the clearance with its drive off; tared and marked as such.
+Run simulate_drive_off(const sim::PlantConfiguration& plant, std::size_t rows);
 
 /// The readings of a check that must not fail. Error: in which phase and why the brake could not be driven
 /// through.

@@ -74,6 +74,11 @@ class ExtendedBrake {
   /// row-major.
   State advance(const State& state, const RowInput& row, double* jacobian) const noexcept;
 
+  /// The torque (N m) that acts in the long run while its reading stays at `reading_Nm`.
+  double acting_torque(double reading_Nm) const noexcept;
+  /// The same with its derivatives by the parameters.
+  double acting_torque(double reading_Nm, double* gradient) const noexcept;
+
   static bool is_bounded(const State& state) noexcept;
 
   /// Where parameter i of the vector lives: the effect's index (-1: base) and the parameter's index in it.

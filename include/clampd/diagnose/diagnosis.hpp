@@ -152,9 +152,10 @@ struct Diagnosis {
   std::vector<EstimatedParameter> parameters_after;
   ExtendedParameters model;  ///< with the named effects
   NoiseLevels noise_before, noise_after;
-  std::optional<NextExperiment> next_experiment;  ///< left empty by diagnose(): experiment designs it
-  std::vector<std::string> notices;               ///< what these data could not show, what was left out
-  std::vector<RunView> views;                     ///< if asked for
+  std::optional<TorqueWhileOff> torque_while_off;  ///< if it was recorded
+  std::optional<NextExperiment> next_experiment;   ///< left empty by diagnose(): experiment designs it
+  std::vector<std::string> notices;                ///< what these data could not show, what was left out
+  std::vector<RunView> views;                      ///< if asked for
   double wall_s = 0.0;
 };
 
@@ -163,6 +164,8 @@ struct DiagnoseOptions {
   /// Judged by but never fitted to. Empty: every third run is held out for the gain, and the final model is
   /// then fitted to all.
   std::span<const Run> heldout = {};
+  /// Recorded elsewhere, beside what the runs hold of it.
+  std::optional<TorqueWhileOff> torque_while_off = {};
   bool views = false;  ///< fill Diagnosis::views
   int threads = 0;     ///< 0: as many as there are processors
   int most_effects = 4;
@@ -172,8 +175,9 @@ struct DiagnoseOptions {
 };
 
 /// Says whether the base model explains the runs, and if not what does. Runs in chronological order; needs
-/// force and velocity readings. Errors: no run, a run that is too short or not finite, a base model that
-/// cannot be fitted at all.
+/// force and velocity readings. Where the drive was off throughout a run, only its torque reading counts: no
+/// torque acted then. Errors: no run, none with the drive on, a run that is too short or not finite, a base
+/// model that cannot be fitted at all.
 Result<Diagnosis> diagnose(std::span<const Run> runs, const DiagnoseOptions& options);
 
 }  // namespace clampd

@@ -34,6 +34,7 @@ struct DiscriminationOptions {
   double wanted_nats = 30.0;
   double enough_nats = 12.0;  ///< below this, over the most repeats, nothing is settled
   int most_repeats = 10;
+  double longest_off_s = 10.0;  ///< of a record of the torque reading with the drive off
   /// Number of the run, counted from the first that the rivals were fitted to: for what changes with it.
   double run_number = 0.0;
   int prototypes_kept = 6;          ///< that are refined, each of another kind or far apart
@@ -68,10 +69,10 @@ Result<DiscriminationValue> evaluate_discrimination(const Run& trajectory, std::
 /// The manoeuvre that best separates rivals.
 struct Discrimination {
   std::string name;
-  std::string why;  ///< in words; if it does not settle, that
-  std::vector<ManoeuvreSegment> segments;
-  Run trajectory;              ///< of the nominal brake
-  double evidence_nats = 0.0;  ///< of one run, between the two hardest to tell apart
+  std::string why;                         ///< in words; if it does not settle, that
+  std::vector<ManoeuvreSegment> segments;  ///< empty: the drive is off
+  Run trajectory;                          ///< of the nominal brake; with the drive off: that, and how long
+  double evidence_nats = 0.0;              ///< of one run, between the two hardest to tell apart
   double evidence_per_sample_nats = 0.0;
   int repeats = 1;                      ///< that are needed, or the most there may be
   double expected_evidence_nats = 0.0;  ///< of all repeats
@@ -80,7 +81,8 @@ struct Discrimination {
   std::size_t first = 0, second = 0;  ///< the two rivals hardest to tell apart
 };
 
-/// Of many kinds of manoeuvres at several forces, speeds and frequencies, the ones that tell most per sample
+/// If the torque reading with the drive off tells the rivals apart, that: for so long as it takes. Otherwise,
+/// of many kinds of manoeuvres at several forces, speeds and frequencies, the ones that tell most per sample
 /// between the two rivals hardest to tell apart are refined (COBYLA) within the limits. Repeats exactly on
 /// one machine. Errors: two or three rivals are wanted; a covariance of another size; options; no manoeuvre
 /// that all of them can do.

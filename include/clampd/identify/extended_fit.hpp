@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -21,12 +22,15 @@ struct FitRun {
   double number = 0.0;  ///< of the run, from 0, in chronological order
   std::vector<double> time_s, torque_Nm, force_N, velocity_rad_s;
   std::vector<std::uint8_t> use_force, use_velocity;
+  /// A reading more, of all runs together, at one of them: what acted then was nothing.
+  std::optional<TorqueWhileOff> torque_while_off = {};
 
   std::size_t size() const { return time_s.size(); }
 };
 
 /// Number 0, 1, ... in the order given, every reading counting.
-std::vector<FitRun> fit_runs(std::span<const Run> runs);
+std::vector<FitRun> fit_runs(std::span<const Run> runs,
+                             const std::optional<TorqueWhileOff>& torque_while_off = {});
 
 /// A channel that is recorded d samples late is moved back by d; the readings at the end that it then lacks
 /// do not count.
@@ -69,7 +73,8 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
                               const ExtendedFitOptions& options = {});
 
 /// A first estimate of the base model, by identify_prediction_error(). Not possible if that fails.
-ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start);
+ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start,
+                          const std::optional<TorqueWhileOff>& torque_while_off = {});
 
 /// The same estimate with an effect more, at these values, or with one less.
 ExtendedEstimate with_effect(const ExtendedEstimate& estimate, const EffectValues& effect);

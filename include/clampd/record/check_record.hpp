@@ -105,7 +105,8 @@ struct CheckRecord {
   double noise_force_N = 0.0;
   double noise_velocity_rad_s = 0.0;
   double noise_torque_Nm = 0.0;
-  double tracking_rms_N = 0.0;  ///< over all repeats
+  std::optional<TorqueWhileOff> torque_while_off;  ///< just before the check
+  double tracking_rms_N = 0.0;                     ///< over all repeats
   TimingRecord timing;
   std::vector<RunRecord> runs;
   std::vector<Sample> flight_recorder;  ///< the last samples before a fault

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -18,9 +19,30 @@ struct Run {
   std::vector<double> velocity_rad_s;
   std::vector<double> force_N;
   std::vector<double> position_rad;  ///< empty where the rig has no position reading
+  /// 1, or 0 in rows in which the drive was off: no torque acted, whatever its reading. Empty: on throughout.
+  std::vector<double> drive_enabled;
 
   std::size_t size() const { return time_s.size(); }
 };
+
+/// The torque reading while the drive was off.
+struct TorqueWhileOff {
+  double mean_Nm = 0.0;
+  double sd_Nm = 0.0;  ///< of the mean; readings may wander
+  std::size_t rows = 0;
+
+  bool operator==(const TorqueWhileOff&) const = default;
+};
+
+/// Of all rows with the drive off; nothing where they are fewer than 20 or all read the same.
+std::optional<TorqueWhileOff> torque_while_off(std::span<const Run> runs);
+
+/// Both together.
+std::optional<TorqueWhileOff> pooled(const std::optional<TorqueWhileOff>& a,
+                                     const std::optional<TorqueWhileOff>& b);
+
+/// Those in which the drive was on at any time.
+std::vector<Run> driven_runs(std::span<const Run> runs);
 
 /// A run as read from a file, and what a careful reader would tell its user about it.
 struct LoadedRun {
@@ -28,9 +50,10 @@ struct LoadedRun {
   std::vector<std::string> notices;  ///< e.g. columns that were ignored
 };
 
-/// Reads a CSV run file with the header of docs `time_s,torque_Nm,velocity_rad_s,force_N[,position_rad]`,
-/// columns in any order. Errors name file, line and column: file missing or empty, column missing or twice,
-/// a field that is not a finite number, a time that does not increase, a row of the wrong length.
+/// Reads a CSV run file with the header of docs
+/// `time_s,torque_Nm,velocity_rad_s,force_N[,position_rad][,drive_enabled]`, columns in any order. Errors
+/// name file, line and column: file missing or empty, column missing or twice, a field that is not a finite
+/// number, a drive_enabled that is not 0 or 1, a time that does not increase, a row of the wrong length.
 Result<LoadedRun> read_run(const std::string& path);
 
 /// The same from text; `name` stands for the file in messages.

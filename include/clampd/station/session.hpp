@@ -37,6 +37,7 @@ struct CheckContext {
   std::string trajectory_sha256;
   std::string software_version;
   std::int64_t started_utc_ns = 0;
+  std::optional<TorqueWhileOff> torque_while_off = {};  ///< before the check, if there was time for it
 };
 
 /// What the station knows when the check has ended.

@@ -78,8 +78,10 @@ class ChannelSkew final : public EquationsOf<ChannelSkew> {
   }
   template <class T>
   void filter(const effects_detail::Transit<T>& transit, const effects_detail::Own<T>& own, T* states) const {
-    states[0] = effects_detail::value_of(own.parameters[2]) == 2.0 ? transit.velocity_before_rad_s
-                                                                   : transit.force_before_N;
+    if (effects_detail::value_of(own.parameters[2]) == 2.0)
+      states[0] = transit.velocity_before_rad_s;
+    else  // the chord's end for which read() meets the parabola
+      states[0] = transit.force_before_N - 0.5 * (1.0 - own.parameters[0]) * transit.force_bend_N;
   }
   template <class T>
   void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own, T* states) const {

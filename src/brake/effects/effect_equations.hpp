@@ -100,11 +100,13 @@ struct Readout {
   T velocity_rad_s;  ///< true; then the reading
 };
 
-/// From one row to the next, for filters in the readings.
+/// From one row to the next, for filters in the readings. The torque is held, so the velocity goes straight
+/// as good as always; the force does not.
 template <class T>
 struct Transit {
   double gap_s;
   T force_before_N, force_after_N;
+  T force_bend_N;  ///< second derivative times gap_s^2
   T velocity_before_rad_s, velocity_after_rad_s;
 };
 
@@ -131,14 +133,17 @@ class Equations {
   virtual void on_settle(const Instant<T>& instant, const Own<T>& own, T* states) const = 0;
 };
 
-/// y' = (u - y) / lag over a gap in which u goes straight from `before` to `after`; y before is `state`.
+/// y' = (u - y) / lag over a gap in which u goes from `before` to `after`, along a parabola whose second
+/// derivative is `bend` / gap^2; y before is `state`.
 template <class T>
-T first_order(const T& lag_s, double gap_s, const T& before, const T& after, const T& state) {
+T first_order(const T& lag_s, double gap_s, const T& before, const T& after, const T& bend, const T& state) {
   using std::exp;
-  const T slope = (after - before) / gap_s;
-  if (!(value_of(lag_s) > 1e-3 * gap_s)) return after - slope * lag_s;
-  const T left = exp(-gap_s / lag_s);
-  return after - slope * lag_s * (1.0 - left) + (state - before) * left;
+  const T share = lag_s / gap_s;
+  // What y would be in the end, and at the beginning, had it followed this parabola for ever.
+  const T end = after - share * (after - before + (0.5 - share) * bend);
+  if (!(value_of(share) > 1e-3)) return end;
+  const T beginning = before - share * (after - before - (0.5 + share) * bend);
+  return end + (state - beginning) * exp(-1.0 / share);
 }
 
 /// s goes to the direction of motion over a travel of `reach`.

@@ -29,7 +29,7 @@ class ForceLag final : public EquationsOf<ForceLag> {
   template <class T>
   void filter(const effects_detail::Transit<T>& transit, const effects_detail::Own<T>& own, T* states) const {
     states[0] = effects_detail::first_order(own.parameters[0], transit.gap_s, transit.force_before_N,
-                                            transit.force_after_N, own.states[0]);
+                                            transit.force_after_N, transit.force_bend_N, own.states[0]);
   }
   template <class T>
   void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>&, T* states) const {

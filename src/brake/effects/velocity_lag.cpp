@@ -29,7 +29,7 @@ class VelocityLag final : public EquationsOf<VelocityLag> {
   template <class T>
   void filter(const effects_detail::Transit<T>& transit, const effects_detail::Own<T>& own, T* states) const {
     states[0] = effects_detail::first_order(own.parameters[0], transit.gap_s, transit.velocity_before_rad_s,
-                                            transit.velocity_after_rad_s, own.states[0]);
+                                            transit.velocity_after_rad_s, T(0.0), own.states[0]);
   }
   template <class T>
   void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>&, T* states) const {
