@@ -48,6 +48,7 @@ std::span<const Effect* const> effects() {
       // the readings
       &force_lag(),
       &velocity_lag(),
+      &velocity_offset(),
       &force_offset(),
       &force_saturation(),
       &force_hum(),

@@ -144,6 +144,26 @@ Rung rung_of(const Candidate& candidate, int stage) {
   return rung;
 }
 
+/// An offset that the tare of these runs may well have left.
+bool is_left_by_tare(const Selection& selection, std::size_t effect, const Eigen::MatrixXd& covariance,
+                     const DiagnoseOptions& options) {
+  const ExtendedParameters& model = selection.chosen.estimate.parameters;
+  const EffectInfo& info = info_of(*model.effects[effect].effect);
+  if (!info.is_zero || !options.tare_sd) return false;
+  const auto places = ExtendedBrake(model).places();
+  const auto at = std::find_if(places.begin(), places.end(),
+                               [&](const ExtendedBrake::Place& place) {
+                                 return place.effect == static_cast<int>(effect);
+                               }) -
+                  places.begin();
+  const double tare_sd =
+      info.location == Location::ForceReading ? options.tare_sd->force_N : options.tare_sd->velocity_rad_s;
+  const double variance = covariance(at, at);
+  // What an offset beyond the tare's explains better than one of the tare's, drawn from its distribution.
+  const double gain = selection.effects[effect].gain * variance / (variance + tare_sd * tare_sd);
+  return evidence_of(gain, 1.0, 1.0) <= alarm_level(options.false_alarm);
+}
+
 class Progress {
  public:
   explicit Progress(const DiagnoseOptions& options) : options_(options) {}
@@ -238,6 +258,13 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
   bool ambiguous = false;
   for (std::size_t e = 0; e < selection.effects.size(); ++e) {
     const Selected& selected = selection.effects[e];
+    if (is_left_by_tare(selection, e, own_covariance, options)) {
+      const EstimatedParameter offset = effect_parameters(selection.chosen.estimate, e).front();
+      diagnosis.notices.push_back(
+          fmt::format("{} of {:.2g} +- {:.1g} {} is no more than the tare may leave, and taken into account",
+                      selected.name, offset.value, offset.sd, offset.unit));
+      continue;
+    }
     NamedEffect named;
     named.name = selected.name;
     named.location = info_of(*find_effect(selected.name)).location;
@@ -260,7 +287,7 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
     diagnosis.rival_models.push_back(std::move(models));
   }
   diagnosis.verdict = is_unexplained              ? DiagnosisVerdict::Unexplained
-                      : selection.effects.empty() ? DiagnosisVerdict::Adequate
+                      : diagnosis.effects.empty() ? DiagnosisVerdict::Adequate
                       : ambiguous                 ? DiagnosisVerdict::Ambiguous
                                                   : DiagnosisVerdict::Explained;
 
@@ -268,8 +295,8 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
     for (const Candidate& candidate : selection.stages[stage]) {
       Rung rung = rung_of(candidate, static_cast<int>(stage) + 1);
       rung.chosen = stage < selection.effects.size() &&
-                    std::any_of(selection.effects.begin(), selection.effects.end(),
-                                [&](const Selected& selected) { return selected.name == rung.name; }) &&
+                    std::any_of(diagnosis.effects.begin(), diagnosis.effects.end(),
+                                [&](const NamedEffect& named) { return named.name == rung.name; }) &&
                     &candidate == &selection.stages[stage].front();
       rung.rival = std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(), [&](const auto& group) {
         return stage == 0 && std::find(group.begin(), group.end(), rung.name) != group.end();

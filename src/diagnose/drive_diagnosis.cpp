@@ -23,7 +23,7 @@ struct UnseenReason {
   std::string_view name, reason;
 };
 constexpr std::string_view kNoForce = "a bare drive has no reading of clamp force";
-constexpr std::array<UnseenReason, 17> kNeverSeen{{
+constexpr std::array<UnseenReason, 18> kNeverSeen{{
     {"coulomb-load", kNoForce},
     {"stiffness-hysteresis", kNoForce},
     {"stiffness-shape", kNoForce},
@@ -38,6 +38,7 @@ constexpr std::array<UnseenReason, 17> kNeverSeen{{
     {"torque-gain", "every parameter is in units of the torque reading and would scale with it"},
     {"torque-lag", "inverse dynamics takes torque and motion as simultaneous"},
     {"velocity-lag", "inverse dynamics takes torque and motion as simultaneous"},
+    {"velocity-offset", "the velocity is the position's derivative, or beside it not judged by itself"},
     {"channel-skew", "inverse dynamics takes torque and motion as simultaneous"},
     {"inertia-error", "the inertia is estimated or off; give a known value in the model file to test it"},
     {"outliers", "rows are averages over several samples"},

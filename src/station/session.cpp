@@ -174,6 +174,7 @@ std::optional<Diagnosis> CheckSession::name_cause(CheckRecord& record) const {
   DiagnoseOptions options;
   options.nominal = configuration_.model;
   options.torque_while_off = record.torque_while_off;
+  options.tare_sd = SensorNoise{record.tare_force_sd_N, record.tare_velocity_sd_rad_s};
   Result<Diagnosis> diagnosis = diagnoser_(runs, options);
   if (!diagnosis) {
     record.reason += fmt::format(" The cause could not be sought: {}.", diagnosis.error().message);
@@ -227,6 +228,12 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   for (const RunRecord& run : record.runs) squares += run.tracking_rms_N * run.tracking_rms_N;
   if (!record.runs.empty())
     record.tracking_rms_N = std::sqrt(squares / static_cast<double>(record.runs.size()));
+
+  if (collector_.tare().samples > 0) {
+    const Eigen::Vector2d tare_sd = offset_sd(collector_.tare());
+    record.tare_force_sd_N = tare_sd[0];
+    record.tare_velocity_sd_rad_s = tare_sd[1];
+  }
 
   CheckFacts facts;
   facts.fault = outcome.fault;

@@ -177,6 +177,37 @@ TEST_P(FaultlessSets, AreAdequate) {
         << diagnosis.parameters_after[i].name;
 }
 
+/// All runs of a check have the same zeros, found from a few hundred noisy readings: the runs know them
+/// better.
+TEST(Diagnosis, NamesNoOffsetThatTheTareMayHaveLeft) {
+  blind::Request request;
+  request.kind = blind::Kind::None;
+  request.generator = blind::Generator::Independent;
+  request.seed = 100;
+  Sealed hidden = sealed(request);
+  for (clampd::Run& run : hidden.runs) {
+    for (double& force_N : run.force_N) force_N += 8.0;
+    for (double& velocity_rad_s : run.velocity_rad_s) velocity_rad_s -= 0.1;
+  }
+  const ParameterVector& truth = hidden.answer.brake.theta;
+  for (const bool expected : {false, true}) {
+    DiagnoseOptions options;
+    options.tare_sd = expected ? SensorNoise{4.0, 0.06} : SensorNoise{0.4, 0.006};
+    const Diagnosis diagnosis = spoken(hidden.runs, options);
+    EXPECT_EQ(names(diagnosis, "force-offset"), !expected) << diagnosis.summary;
+    EXPECT_EQ(names(diagnosis, "velocity-offset"), !expected) << diagnosis.summary;
+    EXPECT_EQ(diagnosis.verdict, expected ? DiagnosisVerdict::Adequate : DiagnosisVerdict::Explained);
+    EXPECT_EQ(std::ranges::count_if(
+                  diagnosis.notices,
+                  [](const std::string& notice) { return notice.find("tare") != std::string::npos; }),
+              expected ? 2 : 0);
+    for (std::size_t i = 0; i < kParameterCount; ++i)
+      EXPECT_NEAR(diagnosis.parameters_after[i].value, truth[static_cast<Eigen::Index>(i)],
+                  4.0 * diagnosis.parameters_after[i].sd)
+          << kParameterTable[i].name;
+  }
+}
+
 TEST(Diagnosis, SaysThatSomethingIsWrongWhereNoCandidateIsTheCause) {
   blind::Request request;
   request.kind = blind::Kind::OffList;

@@ -47,6 +47,7 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
   SettleOptions options;
   options.diagnose.nominal = nominal;
   options.diagnose.torque_while_off = record.torque_while_off;
+  options.diagnose.tare_sd = SensorNoise{record.tare_force_sd_N, record.tare_velocity_sd_rad_s};
   options.diagnose.progress = [&line](double share, const std::string& words) { line.show(share, words); };
   std::string announced;
   options.announce = [&](const NextExperiment& next) {

@@ -55,6 +55,8 @@ struct EffectInfo {
   bool free_states_count = true;
   /// May be named more than once, as a harmonic: its last parameter a multiple or part of the first one's.
   bool repeatable = false;
+  /// Its one parameter is the zero of a reading, as a tare sets it.
+  bool is_zero = false;
 };
 
 /// One physical effect beside the base model, pluggable: src/brake/effects/effect_equations.hpp.

@@ -166,6 +166,9 @@ struct DiagnoseOptions {
   std::span<const Run> heldout = {};
   /// Recorded elsewhere, beside what the runs hold of it.
   std::optional<TorqueWhileOff> torque_while_off = {};
+  /// Standard deviations of the zeros that a tare has given to the readings, if it is known: offsets of that
+  /// size are taken into account and not named.
+  std::optional<SensorNoise> tare_sd = {};
   bool views = false;  ///< fill Diagnosis::views
   int threads = 0;     ///< 0: as many as there are processors
   int most_effects = 4;

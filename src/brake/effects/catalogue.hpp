@@ -30,6 +30,7 @@ const Effect& force_lag();
 const Effect& force_saturation();
 const Effect& force_hum();
 const Effect& velocity_lag();
+const Effect& velocity_offset();
 const Effect& channel_skew();
 const Effect& outliers();
 

@@ -18,7 +18,8 @@ class ForceOffset final : public EquationsOf<ForceOffset> {
                                                   .description = "of the reading",
                                                   .lower = -6000,
                                                   .upper = 6000,
-                                                  .scale = 30}}};
+                                                  .scale = 30}},
+                                  .is_zero = true};
     return kInfo;
   }
   template <class T>
