@@ -73,8 +73,10 @@ class ExtendedEquations {
   /// `values` is the same model in plain numbers: it finds the crossings.
   void advance(T* states, const T& torque, const RowInput& row,
                const ExtendedEquations<double>& values) const {
-    effects_detail::TorqueInput<T> input{torque, T(row.previous_torque_Nm), T(row.next_torque_Nm),
-                                         T(row.later_torque_Nm), row.gap_s};
+    // An error of the torque that acts, whichever of the readings it is made of.
+    const T error = torque - row.torque_Nm;
+    effects_detail::TorqueInput<T> input{torque, row.previous_torque_Nm + error, row.next_torque_Nm + error,
+                                         row.later_torque_Nm + error, row.gap_s};
     const int substeps = is_stiff_ ? values.substeps(plain(states).data(), row.torque_Nm, row) : 1;
     const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * substeps;
     T next[ExtendedBrake::kMostStates];

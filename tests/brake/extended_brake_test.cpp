@@ -156,7 +156,9 @@ TEST_P(EveryForm, HasExactDerivativesThroughStickAndSlip) {
             change *= std::max(1.0, std::abs(state[j]));
             start[j] += change;
           } else if (j == n + p) {
-            input.torque_Nm += change;
+            for (double* torque_Nm :
+                 {&input.previous_torque_Nm, &input.torque_Nm, &input.next_torque_Nm, &input.later_torque_Nm})
+              *torque_Nm += change;
           } else {
             const ExtendedBrake::Place place = brake.places()[static_cast<std::size_t>(j - n)];
             double& value = place.effect < 0

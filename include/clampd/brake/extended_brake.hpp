@@ -70,8 +70,8 @@ class ExtendedBrake {
   Reading read(const State& state, const RowInput& row, double* jacobian) const noexcept;
 
   State advance(const State& state, const RowInput& row) const noexcept;
-  /// The same with d state / d (state, parameters, torque reading), states() x (states() + parameters() + 1),
-  /// row-major.
+  /// The same with d state / d (state, parameters, torque), states() x (states() + parameters() + 1),
+  /// row-major; the torque's reading moves together with those of the rows beside it.
   State advance(const State& state, const RowInput& row, double* jacobian) const noexcept;
 
   /// The torque (N m) that acts in the long run while its reading stays at `reading_Nm`.
