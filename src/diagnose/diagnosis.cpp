@@ -144,6 +144,17 @@ Rung rung_of(const Candidate& candidate, int stage) {
   return rung;
 }
 
+/// Whether a brake is left with next to none of what every such brake has: then the effects beside it stand
+/// for something else, as a friction of another law than the model's.
+bool is_implausible(const ParameterVector& theta, const ParameterVector& nominal) {
+  constexpr double kLeastShare = 0.1;
+  for (std::size_t i = k2; i < kParameterCount; ++i) {
+    const auto at = static_cast<Eigen::Index>(i);
+    if (theta[at] < kLeastShare * nominal[at]) return true;
+  }
+  return false;
+}
+
 /// An offset that the tare of these runs may well have left.
 bool is_left_by_tare(const Selection& selection, std::size_t effect, const Eigen::MatrixXd& covariance,
                      const DiagnoseOptions& options) {
@@ -251,7 +262,10 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
   selection.chosen.estimate.covariance =
       covariance_over_runs(selection.chosen.runs, selection.chosen.estimate, selection.chosen.threads);
   const bool is_something_left = something_left();
-  const bool is_unexplained = lost || much_left();
+  const bool is_misplaced = lost || much_left();
+  const bool is_unexplained = is_misplaced || (!selection.effects.empty() &&
+                                               is_implausible(selection.chosen.estimate.parameters.base.theta,
+                                                              options.nominal.theta));
 
   Diagnosis diagnosis;
   diagnosis.alarm_evidence = alarm_level(options.false_alarm);
@@ -321,7 +335,7 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
         diagnosis.misfit.dependences.size() < kMostDependences)
       diagnosis.misfit.dependences.push_back(dependence);
   if (diagnosis.verdict != DiagnosisVerdict::Adequate) {
-    if (!is_unexplained)
+    if (!is_misplaced && !diagnosis.effects.empty())
       diagnosis.misfit.location = diagnosis.effects.front().location;
     else if (tells(told))
       diagnosis.misfit.location = told.dependences.front().location;

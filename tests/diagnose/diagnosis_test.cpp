@@ -220,6 +220,20 @@ TEST(Diagnosis, SaysThatSomethingIsWrongWhereNoCandidateIsTheCause) {
   EXPECT_TRUE(diagnosis.misfit.location);
 }
 
+/// A root of the speed instead of a constant: two effects make up for it, and leave a brake without friction.
+TEST(Diagnosis, ABrakeWithoutFrictionIsNoExplanation) {
+  blind::Request request;
+  request.kind = blind::Kind::OffList;
+  request.effect = "root-friction";
+  request.generator = blind::Generator::Independent;
+  request.seed = 1300006;
+  const Diagnosis diagnosis = spoken(sealed(request).runs);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Unexplained) << diagnosis.summary;
+  EXPECT_EQ(diagnosis.misfit.location, Location::TorqueBalance);
+  const EstimatedParameter& coulomb = diagnosis.parameters_after[TC];
+  EXPECT_LT(coulomb.value, 0.1 * nominal_parameters()[TC]) << "so that the test can fail";
+}
+
 TEST(Diagnosis, IsTheSameWithAnyNumberOfThreads) {
   blind::Request request;
   request.effect = "force-lag";

@@ -31,6 +31,8 @@ std::string how_it_ended(const Settlement& settlement, const NextStep& left) {
   const std::string after = experiments == 0   ? ""
                             : experiments == 1 ? " after one experiment"
                                                : fmt::format(" after {} experiments", experiments);
+  if (settlement.diagnosis.verdict == DiagnosisVerdict::Unexplained && experiments > 0)
+    return fmt::format("not settled{}: no known effect explains all of the runs now", after);
   if (settlement.diagnosis.verdict != DiagnosisVerdict::Ambiguous)
     return experiments == 0 ? "there is nothing to settle" : "settled" + after;
   if (!left.experiment && !left.words.empty()) return fmt::format("not settled{}: {}", after, left.words);
