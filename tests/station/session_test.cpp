@@ -48,6 +48,9 @@ class Session : public ::testing::TestWithParam<WorkerMode> {
                            EXPECT_EQ(runs.size(), 3u);
                            EXPECT_EQ(options.nominal.theta, configuration.model.theta);
                            EXPECT_FALSE(options.views);
+                           EXPECT_EQ(options.torque_while_off, context.torque_while_off);
+                           EXPECT_TRUE(options.tare_sd);
+                           tare_sd = options.tare_sd.value_or(SensorNoise{});
                            return diagnosis;
                          });
     for (const Sample& sample : stream) session.consume(sample);
@@ -59,11 +62,13 @@ class Session : public ::testing::TestWithParam<WorkerMode> {
   LimitSet limits = support::shipped_limits();
   Result<Diagnosis> diagnosis = Diagnosis{};  ///< what every diagnosis says
   int diagnosed = 0;
+  SensorNoise tare_sd;
   CheckRequest request{.serial = "S-1", .repeats = 3, .operator_name = "", .part_number = "P", .batch = ""};
   CheckContext context{.trajectory_rows = kRows,
                        .trajectory_sha256 = "abc",
                        .software_version = "1.2.3",
-                       .started_utc_ns = 1'795'218'067'123'000'000};
+                       .started_utc_ns = 1'795'218'067'123'000'000,
+                       .torque_while_off = TorqueWhileOff{0.003, 0.0002, 3000}};
   std::vector<Sample> samples = support::sample_stream({.rows = kRows, .repeats = 3});
 };
 
@@ -169,6 +174,22 @@ TEST_P(Session, RunsThatTheModelDoesNotExplainGetTheirCause) {
       "ambiguous", {"force-lag"}, "force-reading", {{"force-lag", "pad-damping"}}, diagnosis->summary};
   ASSERT_TRUE(record.cause);
   EXPECT_EQ(*record.cause, expected);
+}
+
+TEST_P(Session, TheDiagnosisKnowsHowWellTheZerosAreKnown) {
+  int tared = 0;
+  for (Sample& sample : samples) {
+    if (sample.phase != CheckPhase::Tare) continue;
+    sample.force_N += tared % 2 == 0 ? 30.0 : -30.0;
+    sample.velocity_rad_s += tared++ % 2 == 0 ? 0.5 : -0.5;
+  }
+  const CheckRecord record = check(samples, finds(nominal_parameters(), 5000.0));
+  EXPECT_EQ(diagnosed, 1);
+  EXPECT_EQ(record.torque_while_off, context.torque_while_off);
+  EXPECT_NEAR(record.tare_force_sd_N, 30.0 / std::sqrt(tared), 0.02 * 30.0);
+  EXPECT_NEAR(record.tare_velocity_sd_rad_s, 0.5 / std::sqrt(tared), 0.02 * 0.5);
+  EXPECT_EQ(tare_sd.force_N, record.tare_force_sd_N);
+  EXPECT_EQ(tare_sd.velocity_rad_s, record.tare_velocity_sd_rad_s);
 }
 
 TEST_P(Session, WhatNoEffectExplainsIsLocated) {
