@@ -14,6 +14,12 @@ double quantised(double value, double quantum) noexcept {
   return quantum > 0.0 ? std::round(value / quantum) * quantum : value;
 }
 
+/// y' = (u - y) / lag over a step h in which u goes straight from `before` to `after`; y before is `value`.
+double lagged(double value, double before, double after, double lag_s, double h) noexcept {
+  const double behind = (after - before) * lag_s / h;
+  return after - behind + (value - before + behind) * std::exp(-h / lag_s);
+}
+
 }  // namespace
 
 SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration)
@@ -134,8 +140,14 @@ void SimulatedBrake::step(double h) noexcept {
   const double drift = 1.0 + effects.friction_drift * static_cast<double>(run_);
   const double v = state_.velocity_rad_s;
 
-  if (effects.torque_lag_s > 0.0)
-    state_.torque_Nm += (torque_Nm_ - state_.torque_Nm) * -std::expm1(-h / effects.torque_lag_s);
+  // What moves the brake over the step is the mean.
+  double acting_Nm = state_.torque_Nm;
+  if (effects.torque_lag_s > 0.0) {
+    const double distance_Nm = state_.torque_Nm - torque_Nm_;
+    const double gone = -std::expm1(-h / effects.torque_lag_s);
+    acting_Nm = torque_Nm_ + distance_Nm * gone * effects.torque_lag_s / h;
+    state_.torque_Nm = torque_Nm_ + distance_Nm * (1.0 - gone);
+  }
 
   const double before_rad = state_.position_rad;
   state_.position_rad = before_rad + 0.5 * h * v;
@@ -146,7 +158,7 @@ void SimulatedBrake::step(double h) noexcept {
     state_.pad_position_rad = state_.position_rad;
   const double force_N = pad_force(v);
 
-  double torque_Nm = state_.torque_Nm - ratio * force_N;
+  double torque_Nm = acting_Nm - ratio * force_N;
   if (effects.cogging_Nm > 0.0)
     torque_Nm -= effects.cogging_Nm *
                  std::sin(kCoggingOrder * (state_.position_rad + configuration_.encoder_zero_rad));
@@ -212,13 +224,14 @@ void SimulatedBrake::step(double h) noexcept {
     const double elastic_N = (theta[k1] * x + theta[k2]) * x * x;
     state_.relaxed_N += (elastic_N - state_.relaxed_N) * -std::expm1(-h / kRelaxationTime_s);
   }
+  const double force_before_N = state_.force_N;
   state_.force_N = pad_force(state_.velocity_rad_s);
   if (effects.force_lag_s > 0.0)
-    state_.filtered_force_N +=
-        (state_.force_N - state_.filtered_force_N) * -std::expm1(-h / effects.force_lag_s);
+    state_.filtered_force_N =
+        lagged(state_.filtered_force_N, force_before_N, state_.force_N, effects.force_lag_s, h);
   if (effects.velocity_lag_s > 0.0)
-    state_.filtered_velocity_rad_s +=
-        (state_.velocity_rad_s - state_.filtered_velocity_rad_s) * -std::expm1(-h / effects.velocity_lag_s);
+    state_.filtered_velocity_rad_s =
+        lagged(state_.filtered_velocity_rad_s, v, state_.velocity_rad_s, effects.velocity_lag_s, h);
 }
 
 double SimulatedBrake::pad_force(double velocity_rad_s) const noexcept {

@@ -120,7 +120,9 @@ ordered_json check_json(const CheckRecord& record) {
             {"velocity_rad_s", number(record.noise_velocity_rad_s)},
             {"torque_Nm", number(record.noise_torque_Nm)}}},
           {"tare",
-           {{"force_sd_N", number(record.tare_force_sd_N)},
+           {{"force_N", number(record.tare_force_N)},
+            {"force_sd_N", number(record.tare_force_sd_N)},
+            {"velocity_rad_s", number(record.tare_velocity_rad_s)},
             {"velocity_sd_rad_s", number(record.tare_velocity_sd_rad_s)}}},
           {"torque_while_off", record.torque_while_off
                                    ? ordered_json{{"mean_Nm", record.torque_while_off->mean_Nm},

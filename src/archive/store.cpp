@@ -90,7 +90,9 @@ CREATE TABLE outbox_connections (channel TEXT PRIMARY KEY NOT NULL, connections 
 )sql",
                                                  R"sql(
 ALTER TABLE checks ADD COLUMN torque_while_off TEXT NOT NULL DEFAULT '';
+ALTER TABLE checks ADD COLUMN tare_force_N REAL NOT NULL DEFAULT 0;
 ALTER TABLE checks ADD COLUMN tare_force_sd_N REAL NOT NULL DEFAULT 0;
+ALTER TABLE checks ADD COLUMN tare_velocity_rad_s REAL NOT NULL DEFAULT 0;
 ALTER TABLE checks ADD COLUMN tare_velocity_sd_rad_s REAL NOT NULL DEFAULT 0;
 )sql"};
 
@@ -154,7 +156,7 @@ void migrate(SQLite::Database& database, int version) {
   }
 }
 
-constexpr int kCheckColumns = 39;
+constexpr int kCheckColumns = 41;
 
 void insert_check(SQLite::Database& database, const CheckRecord& r) {
   Row row(database, "checks", kCheckColumns);
@@ -166,7 +168,7 @@ void insert_check(SQLite::Database& database, const CheckRecord& r) {
       << r.tracking_rms_N << r.timing.ticks << r.timing.skipped << r.timing.lost_samples
       << r.timing.lateness_min_us << r.timing.lateness_avg_us << r.timing.lateness_max_us << r.timing.bus_load
       << r.method << r.noise_torque_Nm << cause_text(r.cause) << torque_while_off_text(r.torque_while_off)
-      << r.tare_force_sd_N << r.tare_velocity_sd_rad_s;
+      << r.tare_force_N << r.tare_force_sd_N << r.tare_velocity_rad_s << r.tare_velocity_sd_rad_s;
   row.insert();
 }
 
@@ -179,8 +181,8 @@ void read_check(SQLite::Statement& statement, CheckRecord& r) {
       r.marginal >> r.reason >> r.fault >> covariance >> r.noise_force_N >> r.noise_velocity_rad_s >>
       r.tracking_rms_N >> r.timing.ticks >> r.timing.skipped >> r.timing.lost_samples >>
       r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >>
-      r.method >> r.noise_torque_Nm >> cause >> torque_while_off >> r.tare_force_sd_N >>
-      r.tare_velocity_sd_rad_s;
+      r.method >> r.noise_torque_Nm >> cause >> torque_while_off >> r.tare_force_N >> r.tare_force_sd_N >>
+      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s;
   r.cause = cause_from(cause);
   r.torque_while_off = torque_while_off_from(torque_while_off);
   r.covariance_normalised = numbers_from(covariance);

@@ -231,6 +231,8 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
 
   if (collector_.tare().samples > 0) {
     const Eigen::Vector2d tare_sd = offset_sd(collector_.tare());
+    record.tare_force_N = collector_.tare().force_offset_N;
+    record.tare_velocity_rad_s = collector_.tare().velocity_offset_rad_s;
     record.tare_force_sd_N = tare_sd[0];
     record.tare_velocity_sd_rad_s = tare_sd[1];
   }

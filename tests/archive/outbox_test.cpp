@@ -71,8 +71,9 @@ TEST_F(Outbox, PutsMarksFromBeforeItInOrder) {
             "DROP TABLE outbox_connections; DROP INDEX publication_next; DROP INDEX publication_order; "
             "CREATE INDEX publication_pending ON publication (channel, check_id) WHERE state = 0; "
             "ALTER TABLE publication DROP COLUMN sequence; ALTER TABLE publication DROP COLUMN queued; "
-            "ALTER TABLE checks DROP COLUMN torque_while_off; ALTER TABLE checks DROP COLUMN "
-            "tare_force_sd_N; "
+            "ALTER TABLE checks DROP COLUMN torque_while_off; ALTER TABLE checks DROP COLUMN tare_force_N; "
+            "ALTER TABLE checks DROP COLUMN tare_force_sd_N; ALTER TABLE checks DROP COLUMN "
+            "tare_velocity_rad_s; "
             "ALTER TABLE checks DROP COLUMN tare_velocity_sd_rad_s; PRAGMA user_version = 4");
   }
   CheckStore store = open();

@@ -104,6 +104,8 @@ TEST_F(Store, KeepsTheCause) {
 TEST_F(Store, WhatIsKnownOfTheZerosReadsBackTheSame) {
   CheckRecord saved = make_check_record();
   saved.torque_while_off = TorqueWhileOff{0.1 / 3.0, 1e-4 / 3.0, 3000};
+  saved.tare_force_N = -200.0 / 3.0;
+  saved.tare_velocity_rad_s = 1.0 / 3.0;
   saved.tare_force_sd_N = 4.0 / 3.0;
   saved.tare_velocity_sd_rad_s = 0.01 / 3.0;
   CheckRecord unknown = make_check_record();
@@ -112,6 +114,8 @@ TEST_F(Store, WhatIsKnownOfTheZerosReadsBackTheSame) {
   ASSERT_TRUE(store.save(saved));
   ASSERT_TRUE(store.save(unknown));
   EXPECT_EQ(store.load(saved.id)->torque_while_off, saved.torque_while_off);
+  EXPECT_EQ(store.load(saved.id)->tare_force_N, saved.tare_force_N);
+  EXPECT_EQ(store.load(saved.id)->tare_velocity_rad_s, saved.tare_velocity_rad_s);
   EXPECT_EQ(store.load(saved.id)->tare_force_sd_N, saved.tare_force_sd_N);
   EXPECT_EQ(store.load(saved.id)->tare_velocity_sd_rad_s, saved.tare_velocity_sd_rad_s);
   EXPECT_EQ(store.load(unknown.id)->torque_while_off, std::nullopt);
@@ -124,7 +128,8 @@ void undo_steps_4_to_6(SQLite::Database& database) {
       "checks_by_operator; "
       "DROP TABLE limits_revisions; DROP TABLE publication; DROP INDEX runs_kept; "
       "ALTER TABLE runs DROP COLUMN bytes; ALTER TABLE runs DROP COLUMN removed; "
-      "ALTER TABLE checks DROP COLUMN torque_while_off; ALTER TABLE checks DROP COLUMN tare_force_sd_N; "
+      "ALTER TABLE checks DROP COLUMN torque_while_off; ALTER TABLE checks DROP COLUMN tare_force_N; ALTER "
+      "TABLE checks DROP COLUMN tare_force_sd_N; ALTER TABLE checks DROP COLUMN tare_velocity_rad_s; "
       "ALTER TABLE checks DROP COLUMN tare_velocity_sd_rad_s; PRAGMA user_version = 3");
 }
 

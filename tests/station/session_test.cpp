@@ -177,6 +177,8 @@ TEST_P(Session, RunsThatTheModelDoesNotExplainGetTheirCause) {
 }
 
 TEST_P(Session, TheDiagnosisKnowsHowWellTheZerosAreKnown) {
+  samples = support::sample_stream(
+      {.rows = kRows, .repeats = 3, .force_offset_N = 200.0, .velocity_offset_rad_s = -4.0});
   int tared = 0;
   for (Sample& sample : samples) {
     if (sample.phase != CheckPhase::Tare) continue;
@@ -186,6 +188,8 @@ TEST_P(Session, TheDiagnosisKnowsHowWellTheZerosAreKnown) {
   const CheckRecord record = check(samples, finds(nominal_parameters(), 5000.0));
   EXPECT_EQ(diagnosed, 1);
   EXPECT_EQ(record.torque_while_off, context.torque_while_off);
+  EXPECT_NEAR(record.tare_force_N, 200.0, 1e-9);
+  EXPECT_NEAR(record.tare_velocity_rad_s, -4.0, 1e-9);
   EXPECT_NEAR(record.tare_force_sd_N, 30.0 / std::sqrt(tared), 0.02 * 30.0);
   EXPECT_NEAR(record.tare_velocity_sd_rad_s, 0.5 / std::sqrt(tared), 0.02 * 0.5);
   EXPECT_EQ(tare_sd.force_N, record.tare_force_sd_N);

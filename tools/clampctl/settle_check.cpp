@@ -77,6 +77,12 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
     }
     std::vector<Run> driven;
     for (RunRecord& run : further->runs) driven.push_back(std::move(run.run));
+    // The sensors' zeros are those of the first check: two tares differ by more than many runs overlook.
+    for (Run& run : driven) {
+      for (double& force_N : run.force_N) force_N += further->tare_force_N - record.tare_force_N;
+      for (double& velocity_rad_s : run.velocity_rad_s)
+        velocity_rad_s += further->tare_velocity_rad_s - record.tare_velocity_rad_s;
+    }
     return driven;
   };
 

@@ -105,8 +105,10 @@ struct CheckRecord {
   double noise_force_N = 0.0;
   double noise_velocity_rad_s = 0.0;
   double noise_torque_Nm = 0.0;
-  /// Of the zeros that the tare gave to the readings; 0: not tared.
+  /// The zeros that the tare took off the readings, and how sure they are; 0: not tared.
+  double tare_force_N = 0.0;
   double tare_force_sd_N = 0.0;
+  double tare_velocity_rad_s = 0.0;
   double tare_velocity_sd_rad_s = 0.0;
   std::optional<TorqueWhileOff> torque_while_off;  ///< just before the check
   double tracking_rms_N = 0.0;                     ///< over all repeats

@@ -68,6 +68,30 @@ TEST(Effects, ReadingEffectsDoWhatTheirTableSays) {
   EXPECT_GT(highest_N, 6000.0);
 }
 
+/// A lag is a delay of a reading that grows evenly; of the torque it takes so much time of it from the
+/// motion.
+TEST(Effects, LagsAreAsLongAsTheirTimeConstant) {
+  constexpr double kLag_s = 50e-6;
+  const auto velocities = [](double Effects::*lag_s) {
+    PlantConfiguration configuration;
+    configuration.sensors = {};
+    configuration.clearance_rad = configuration.open_stop_rad;
+    if (lag_s != nullptr) configuration.effects.*lag_s = kLag_s;
+    SimulatedBrake brake(configuration);
+    std::vector<double> seen;
+    for (int k = 0; k < 6; ++k) {
+      brake.command({0.5, true});
+      seen.push_back(brake.sample().velocity_rad_s);
+    }
+    return seen;
+  };
+  const std::vector<double> at_once = velocities(nullptr);
+  const double per_s = (at_once[5] - at_once[3]) / 2e-3;
+  const double lost_per_s = 0.5 / FixedParameters{}.inertia_kg_m2;
+  EXPECT_NEAR((at_once[4] - velocities(&Effects::velocity_lag_s)[4]) / per_s, kLag_s, 0.03 * kLag_s);
+  EXPECT_NEAR((at_once[4] - velocities(&Effects::torque_lag_s)[4]) / lost_per_s, kLag_s, 0.03 * kLag_s);
+}
+
 TEST(Effects, BacklashHoldsTheForceAtReversal) {
   // Held under load, then turned back by less than the lost motion: the force must not fall.
   PlantConfiguration configuration;
