@@ -161,7 +161,8 @@ bool is_left_by_tare(const Selection& selection, std::size_t effect, const Eigen
   const ExtendedParameters& model = selection.chosen.estimate.parameters;
   const EffectInfo& info = info_of(*model.effects[effect].effect);
   if (!info.is_zero || !options.tare_sd) return false;
-  const auto places = ExtendedBrake(model).places();
+  const ExtendedBrake brake(model);
+  const auto places = brake.places();
   const auto at = std::find_if(places.begin(), places.end(),
                                [&](const ExtendedBrake::Place& place) {
                                  return place.effect == static_cast<int>(effect);

@@ -38,7 +38,7 @@ constexpr std::array<UnseenReason, 18> kNeverSeen{{
     {"torque-gain", "every parameter is in units of the torque reading and would scale with it"},
     {"torque-lag", "inverse dynamics takes torque and motion as simultaneous"},
     {"velocity-lag", "inverse dynamics takes torque and motion as simultaneous"},
-    {"velocity-offset", "the velocity is the position's derivative, or beside it not judged by itself"},
+    {"velocity-offset", "a bare drive's reading of velocity is taken as it is"},
     {"channel-skew", "inverse dynamics takes torque and motion as simultaneous"},
     {"inertia-error", "the inertia is estimated or off; give a known value in the model file to test it"},
     {"outliers", "rows are averages over several samples"},
