@@ -368,6 +368,21 @@ TEST(DiagnosisReport, EscapesWhatComesFromOutside) {
   EXPECT_THAT(html, AllOf(Not(HasSubstr("<script")), HasSubstr("&lt;script&gt;")));
 }
 
+TEST(NextExperiment, WithTheDriveOffIsNoManoeuvreAndSaysWhatToDo) {
+  Diagnosis diagnosis = torn_brake();
+  EXPECT_EQ(diagnosis_json(diagnosis, kBrake)["next_experiment"]["drive_off"], false);
+  EXPECT_THAT(diagnosis_text(diagnosis, kBrake, false), Not(HasSubstr("drive_enabled")));
+  clampd::Run& trajectory = diagnosis.next_experiment->trajectory;
+  trajectory.drive_enabled.assign(trajectory.size(), 0.0);
+  diagnosis.torque_while_off = TorqueWhileOff{0.003, 0.0002, 3000};
+  const auto document = diagnosis_json(diagnosis, kBrake);
+  EXPECT_EQ(document["next_experiment"]["drive_off"], true);
+  EXPECT_EQ(document["torque_while_off"]["rows"], 3000);
+  EXPECT_THAT(diagnosis_text(diagnosis, kBrake, false), HasSubstr("drive_enabled, 0 in every row"));
+  EXPECT_THAT(html_of(diagnosis, kBrake),
+              AllOf(HasSubstr("drive_enabled, 0 in every row"), Not(HasSubstr("The designed manoeuvre"))));
+}
+
 TEST(DiagnosisReport, OfADriveSpeaksItsUnits) {
   const std::string html = html_of(rippling_drive(), linear_drive());
   EXPECT_TRUE(has_section(html, "The force that the model lacks"));

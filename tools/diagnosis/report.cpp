@@ -104,9 +104,9 @@ std::string next_step(const Diagnosis& diagnosis, const DiagnosisSubject& subjec
           "use those of the extended model{}.",
           subject.drive ? "" : " (--save writes it)");
     case DiagnosisVerdict::Ambiguous:
-      return diagnosis.next_experiment
-                 ? "Run the manoeuvre below (--next writes it) and diagnose again with its runs added."
-                 : "Add runs with other manoeuvres and diagnose again.";
+      return diagnosis.next_experiment ? "Do what is said below (--next writes the trajectory) and diagnose "
+                                         "again with its runs added."
+                                       : "Add runs with other manoeuvres and diagnose again.";
     case DiagnosisVerdict::Unexplained:
       return "Look where the misfit is and at what it depends on. Do not trust the parameters until the "
              "cause is "
@@ -351,6 +351,10 @@ Result<void> add_next_experiment(Page& page, const Diagnosis& diagnosis) {
   if (!diagnosis.next_experiment) return {};
   const NextExperiment& next = *diagnosis.next_experiment;
   page.paragraph(sentence(next.why));
+  if (const std::string how = words::how_to_record(next); !how.empty()) {
+    page.paragraph(sentence(how));
+    return {};
+  }
   const Figure picture = pictures::trajectory_picture(next.trajectory);
   if (picture.panels.empty()) return {};
   return page.figure(

@@ -80,7 +80,10 @@ void add_rivals(Text& text, const Diagnosis& diagnosis) {
   text.heading("Not to be told apart by these runs");
   for (const std::vector<std::string>& group : diagnosis.rivals)
     text.add("  {}\n", words::enumeration(group, "or"));
-  if (diagnosis.next_experiment) text.add("  to settle it: {}\n", diagnosis.next_experiment->why);
+  if (!diagnosis.next_experiment) return;
+  text.add("  to settle it: {}\n", diagnosis.next_experiment->why);
+  if (const std::string how = words::how_to_record(*diagnosis.next_experiment); !how.empty())
+    text.add("  {}\n", how);
 }
 
 void add_misfit(Text& text, const Diagnosis& diagnosis) {

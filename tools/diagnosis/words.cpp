@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <span>
 
 #include <fmt/format.h>
 
@@ -206,6 +207,12 @@ std::string headline(const Diagnosis& diagnosis) {
 
 bool has_gain(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   return diagnosis.gain && (subject.drive || !diagnosis.gain->runs.empty());
+}
+
+std::string how_to_record(const NextExperiment& experiment) {
+  if (!driven_runs(std::span(&experiment.trajectory, 1)).empty()) return "";
+  return "nothing is to be driven: record the readings with the drive off, in a run file with the column "
+         "drive_enabled, 0 in every row";
 }
 
 std::string heldout_runs(const HeldOutGain& gain) {

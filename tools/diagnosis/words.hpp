@@ -49,6 +49,9 @@ std::string cause(const std::string& effect);
 /// Whether the verdict leaves open if it is the effect of this name or one that does nearly as well.
 bool has_rivals(const Diagnosis& diagnosis, const std::string& effect);
 
+/// What to do for an experiment that is no manoeuvre; empty if it is one.
+std::string how_to_record(const NextExperiment& experiment);
+
 /// What the verdict is, for a heading: "the cause is cogging".
 std::string headline(const Diagnosis& diagnosis);
 
