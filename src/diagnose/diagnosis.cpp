@@ -155,6 +155,20 @@ bool is_implausible(const ParameterVector& theta, const ParameterVector& nominal
   return false;
 }
 
+/// Whether the runs alone show that the torque reading has not the offset of when the drive was off, nor any
+/// other: as where a drive zeroes it whenever it is switched on.
+bool contradicts(const TorqueWhileOff& off, const Hypothesis& base, std::span<const Run> runs) {
+  constexpr double kPlainly_sds = 5.0, kNone_sds = 3.0;
+  if (std::abs(off.mean_Nm) < kPlainly_sds * off.sd_Nm) return false;
+  const EffectValues none{find_effect("torque-offset"), {0.0}};
+  const StepForecast seen =
+      forecast_each(fit_runs(runs), base.estimate, std::span(&none, 1), base.threads).front();
+  if (seen.step.size() == 0) return false;
+  const double offset_Nm = seen.step.tail(1)[0], sd_Nm = seen.sd.tail(1)[0];
+  return std::abs(offset_Nm) < kNone_sds * sd_Nm &&
+         std::abs(offset_Nm - off.mean_Nm) > kPlainly_sds * std::hypot(sd_Nm, off.sd_Nm);
+}
+
 /// An offset that the tare of these runs may well have left.
 bool is_left_by_tare(const Selection& selection, std::size_t effect, const Eigen::MatrixXd& covariance,
                      const DiagnoseOptions& options) {
@@ -216,14 +230,18 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
 
   Hypothesis base;
   base.threads = SpareThreads(threads_or_all(options.threads));
-  const auto torque_off = pooled(options.torque_while_off, torque_while_off(given));
-  base.runs = fit_runs(runs, torque_off);
-  base.estimate = fit_base(runs, options.nominal, torque_off);
+  std::optional<TorqueWhileOff> torque_off = pooled(options.torque_while_off, torque_while_off(given));
+  base.estimate = fit_base(runs, options.nominal);
   if (!base.possible())
     return failure(
         "the base model cannot follow these runs at all: check columns and units, and that J and N are those "
         "of "
         "this brake");
+  const bool is_off_refuted = torque_off && contradicts(*torque_off, base, runs);
+  if (is_off_refuted) torque_off.reset();
+  base.runs = fit_runs(runs, torque_off);
+  if (torque_off)
+    base.estimate.log_likelihood = forecast(base.runs, base.estimate, base.threads).log_likelihood;
   settle(base);
   progress(0.12, "looking at what is left");
   const Residuals before = examine(base);
@@ -367,6 +385,10 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
         fmt::format("a little is left that these effects do not explain ({:.0f} of {:.0f} nats): they may "
                     "have another form than assumed",
                     after.nats, explained));
+  if (is_off_refuted)
+    diagnosis.notices.push_back(
+        "the torque reading with the drive off is left out: the runs show no such offset; does the drive set "
+        "its zero when it is switched on?");
   if (torque_off)
     diagnosis.notices.push_back(fmt::format(
         "with the drive off, when no torque acts, its reading was {:.2f} +- {:.2f} mN m ({} rows)",

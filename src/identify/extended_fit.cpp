@@ -597,8 +597,7 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
   return estimate;
 }
 
-ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start,
-                          const std::optional<TorqueWhileOff>& torque_while_off) {
+ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start) {
   ExtendedEstimate estimate;
   EstimatorOptions options;
   options.start = start;
@@ -616,7 +615,7 @@ ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& star
         first.initial_states.size() == runs.size() && first.initial_states[r].allFinite()
             ? Eigen::VectorXd(first.initial_states[r])
             : Eigen::VectorXd(initial_state_guess(runs[r], warm.parameters.base.theta)));
-  return fit_extended(fit_runs(runs, torque_while_off), warm);
+  return fit_extended(fit_runs(runs), warm);
 }
 
 ExtendedEstimate with_effect(const ExtendedEstimate& estimate, const EffectValues& effect) {

@@ -209,6 +209,22 @@ TEST(Diagnosis, NamesNoOffsetThatTheTareMayHaveLeft) {
   }
 }
 
+/// As of a drive that sets its zero when it is switched on.
+TEST(Diagnosis, DoesNotBelieveATorqueWhileOffThatTheRunsRefute) {
+  blind::Request request;
+  request.kind = blind::Kind::None;
+  request.generator = blind::Generator::Independent;
+  request.seed = 100;
+  const Sealed hidden = sealed(request);
+  DiagnoseOptions options;
+  options.torque_while_off = TorqueWhileOff{0.004, 0.0002, 3000};
+  const Diagnosis diagnosis = spoken(hidden.runs, options);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
+  EXPECT_FALSE(diagnosis.torque_while_off);
+  ASSERT_FALSE(diagnosis.notices.empty());
+  EXPECT_NE(diagnosis.notices.back().find("is left out"), std::string::npos) << diagnosis.notices.back();
+}
+
 TEST(Diagnosis, SaysThatSomethingIsWrongWhereNoCandidateIsTheCause) {
   blind::Request request;
   request.kind = blind::Kind::OffList;
