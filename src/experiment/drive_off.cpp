@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <vector>
 
 #include <fmt/format.h>
 #include <Eigen/Core>
@@ -29,8 +30,19 @@ double own_variance(const RivalModel& rival, const Eigen::VectorXd& gradient) {
   return std::isfinite(variance) ? variance : std::numeric_limits<double>::infinity();
 }
 
-/// Expected of the other rival's misfit if the first is true.
-double evidence_nats(const RivalModel& truth, const RivalModel& other, double reading_variance) {
+/// Of one rival, if another one is true: what it takes for a torque then, and how well it could know.
+struct Misfit {
+  std::size_t truth, other;
+  double taken_Nm, own_variance;
+
+  double nats(double reading_variance) const {
+    return 0.5 * taken_Nm * taken_Nm / (reading_variance + own_variance);
+  }
+};
+
+Misfit misfit_of(std::span<const RivalModel> rivals, std::size_t of_truth, std::size_t of_other) {
+  const RivalModel& truth = rivals[of_truth];
+  const RivalModel& other = rivals[of_other];
   const ExtendedBrake brake(truth.parameters);
   const double at_zero_Nm = brake.acting_torque(0.0);
   const double slope = brake.acting_torque(1.0) - at_zero_Nm;
@@ -38,7 +50,7 @@ double evidence_nats(const RivalModel& truth, const RivalModel& other, double re
   const ExtendedBrake judge(other.parameters);
   Eigen::VectorXd gradient(judge.parameters());
   const double taken_Nm = judge.acting_torque(reading_Nm, gradient.data());
-  return 0.5 * taken_Nm * taken_Nm / (reading_variance + own_variance(other, gradient));
+  return {of_truth, of_other, taken_Nm, own_variance(other, gradient)};
 }
 
 }  // namespace
@@ -52,21 +64,19 @@ std::string names_of(std::span<const RivalModel> rivals) {
 
 Discrimination design_drive_off(std::span<const RivalModel> rivals, const NoiseLevels& noise,
                                 const DiscriminationOptions& options) {
+  std::vector<Misfit> misfits;
+  for (std::size_t truth = 0; truth < rivals.size(); ++truth)
+    for (std::size_t other = 0; other < rivals.size(); ++other)
+      if (other != truth) misfits.push_back(misfit_of(rivals, truth, other));
   Discrimination design;
   const auto least_after = [&](double duration_s) {
-    const double variance = noise.torque_Nm * noise.torque_Nm * kPeriod_s / duration_s;
-    double least = std::numeric_limits<double>::infinity();
-    for (std::size_t truth = 0; truth < rivals.size(); ++truth)
-      for (std::size_t other = 0; other < rivals.size(); ++other) {
-        if (other == truth) continue;
-        const double nats =
-            evidence_nats(rivals[truth], rivals[other], variance + kSteadiest_Nm * kSteadiest_Nm);
-        if (nats >= least) continue;
-        least = nats;
-        design.first = std::min(truth, other);
-        design.second = std::max(truth, other);
-      }
-    return least;
+    const double variance =
+        noise.torque_Nm * noise.torque_Nm * kPeriod_s / duration_s + kSteadiest_Nm * kSteadiest_Nm;
+    const Misfit& least =
+        *std::ranges::min_element(misfits, {}, [&](const Misfit& misfit) { return misfit.nats(variance); });
+    design.first = std::min(least.truth, least.other);
+    design.second = std::max(least.truth, least.other);
+    return least.nats(variance);
   };
   double duration_s = std::min(kShortest_s, options.longest_off_s);
   while (least_after(duration_s) < options.wanted_nats && duration_s < options.longest_off_s)

@@ -1,7 +1,6 @@
 #include "clampd/experiment/reference.hpp"
 
 #include <cmath>
-#include <span>
 #include <string_view>
 #include <utility>
 
@@ -21,7 +20,7 @@ Result<void> check_shape(const Run& run) {
   if (run.size() < 2 || run.size() > kMaximumRows)
     return failure(
         fmt::format("{}: a trajectory has 2 to {} rows, not {}", run.name, kMaximumRows, run.size()));
-  if (driven_runs(std::span(&run, 1)).empty())
+  if (!is_driven(run))
     return failure(
         fmt::format("{}: the drive is off in all rows: that can be recorded, not tracked", run.name));
   const auto full = [&](const std::vector<double>& column) { return column.size() == run.size(); };

@@ -259,11 +259,13 @@ std::optional<TorqueWhileOff> pooled(const std::optional<TorqueWhileOff>& a,
                         std::hypot(of_a * a->sd_Nm, of_b * b->sd_Nm) / rows, a->rows + b->rows};
 }
 
+bool is_driven(const Run& run) {
+  return run.drive_enabled.empty() || std::ranges::count(run.drive_enabled, 1.0) > 0;
+}
+
 std::vector<Run> driven_runs(std::span<const Run> runs) {
   std::vector<Run> driven;
-  std::copy_if(runs.begin(), runs.end(), std::back_inserter(driven), [](const Run& run) {
-    return run.drive_enabled.empty() || std::ranges::count(run.drive_enabled, 1.0) > 0;
-  });
+  std::ranges::copy_if(runs, std::back_inserter(driven), is_driven);
   return driven;
 }
 

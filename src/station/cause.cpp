@@ -4,6 +4,20 @@
 
 namespace clampd {
 
+std::vector<Run> runs_of(const CheckRecord& record) {
+  std::vector<Run> runs;
+  for (const RunRecord& run : record.runs) runs.push_back(run.run);
+  return runs;
+}
+
+DiagnoseOptions diagnose_options(const CheckRecord& record, const BrakeParameters& nominal) {
+  DiagnoseOptions options;
+  options.nominal = nominal;
+  options.torque_while_off = record.torque_while_off;
+  options.tare_sd = SensorNoise{record.tare_force_sd_N, record.tare_velocity_sd_rad_s};
+  return options;
+}
+
 std::optional<CauseRecord> cause_of(const Diagnosis& diagnosis) {
   if (diagnosis.verdict == DiagnosisVerdict::Adequate) return std::nullopt;
   CauseRecord cause;

@@ -169,13 +169,7 @@ CheckSession::Progress CheckSession::progress() const {
 }
 
 std::optional<Diagnosis> CheckSession::name_cause(CheckRecord& record) const {
-  std::vector<Run> runs;
-  for (const RunRecord& run : record.runs) runs.push_back(run.run);
-  DiagnoseOptions options;
-  options.nominal = configuration_.model;
-  options.torque_while_off = record.torque_while_off;
-  options.tare_sd = SensorNoise{record.tare_force_sd_N, record.tare_velocity_sd_rad_s};
-  Result<Diagnosis> diagnosis = diagnoser_(runs, options);
+  Result<Diagnosis> diagnosis = diagnoser_(runs_of(record), diagnose_options(record, configuration_.model));
   if (!diagnosis) {
     record.reason += fmt::format(" The cause could not be sought: {}.", diagnosis.error().message);
     return std::nullopt;

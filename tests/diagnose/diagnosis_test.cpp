@@ -23,6 +23,15 @@ Sealed sealed(const blind::Request& request) {
   return {set->answer, std::move(set->runs)};
 }
 
+/// Of the independent brake, without an effect.
+Sealed faultless(std::uint64_t seed) {
+  blind::Request request;
+  request.kind = blind::Kind::None;
+  request.generator = blind::Generator::Independent;
+  request.seed = seed;
+  return sealed(request);
+}
+
 Diagnosis spoken(std::span<const clampd::Run> runs, DiagnoseOptions options = {}) {
   Result<Diagnosis> diagnosis = diagnose(runs, options);
   EXPECT_TRUE(diagnosis) << diagnosis.error().message;
@@ -97,11 +106,7 @@ TEST_P(HiddenPairs, AreBothNamed) {
 /// A brake whose Stribeck velocity is 0.4 of nominal: output errors from the nominal one get lost, and a
 /// filter that believes in much torque noise calls where they ended white.
 TEST(LostStart, CostsNeitherTheEstimateNorTheDiagnosis) {
-  blind::Request request;
-  request.kind = blind::Kind::None;
-  request.generator = blind::Generator::Independent;
-  request.seed = 410005;
-  const Sealed hidden = sealed(request);
+  const Sealed hidden = faultless(410005);
   const ParameterVector& truth = hidden.answer.brake.theta;
   EXPECT_LT(truth[ws], 0.5 * nominal_parameters()[ws]) << "so that the test can fail";
   const Estimate estimate = identify_prediction_error(hidden.runs, {});
@@ -181,11 +186,7 @@ TEST_P(FaultlessSets, AreAdequate) {
 /// All runs of a check have the same zeros, found from a few hundred noisy readings: the runs know them
 /// better.
 TEST(Diagnosis, NamesNoOffsetThatTheTareMayHaveLeft) {
-  blind::Request request;
-  request.kind = blind::Kind::None;
-  request.generator = blind::Generator::Independent;
-  request.seed = 100;
-  Sealed hidden = sealed(request);
+  Sealed hidden = faultless(100);
   for (clampd::Run& run : hidden.runs) {
     for (double& force_N : run.force_N) force_N += 8.0;
     for (double& velocity_rad_s : run.velocity_rad_s) velocity_rad_s -= 0.1;
@@ -211,11 +212,7 @@ TEST(Diagnosis, NamesNoOffsetThatTheTareMayHaveLeft) {
 
 /// As of a drive that sets its zero when it is switched on.
 TEST(Diagnosis, DoesNotBelieveATorqueWhileOffThatTheRunsRefute) {
-  blind::Request request;
-  request.kind = blind::Kind::None;
-  request.generator = blind::Generator::Independent;
-  request.seed = 100;
-  const Sealed hidden = sealed(request);
+  const Sealed hidden = faultless(100);
   DiagnoseOptions options;
   options.torque_while_off = TorqueWhileOff{0.004, 0.0002, 3000};
   const Diagnosis diagnosis = spoken(hidden.runs, options);

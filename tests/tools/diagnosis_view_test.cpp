@@ -368,7 +368,7 @@ TEST(DiagnosisReport, EscapesWhatComesFromOutside) {
   EXPECT_THAT(html, AllOf(Not(HasSubstr("<script")), HasSubstr("&lt;script&gt;")));
 }
 
-TEST(NextExperiment, WithTheDriveOffIsNoManoeuvreAndSaysWhatToDo) {
+TEST(NextExperiment, WithTheDriveOffIsNoManoeuvreAndSaysWhatToRecord) {
   Diagnosis diagnosis = torn_brake();
   EXPECT_EQ(diagnosis_json(diagnosis, kBrake)["next_experiment"]["drive_off"], false);
   EXPECT_THAT(diagnosis_text(diagnosis, kBrake, false), Not(HasSubstr("drive_enabled")));

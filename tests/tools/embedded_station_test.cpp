@@ -19,6 +19,29 @@ namespace {
 
 using ::testing::HasSubstr;
 
+/// A conductor with all it conducts.
+struct Bench {
+  Bench(const sim::PlantConfiguration& configured, WorkerMode mode)
+      : brake(bus.end(can::EmbeddedBus::End::Brake), station.codec, configured, nullptr),
+        conductor(station, core, nullptr, mode) {}
+
+  void advance() {
+    brake.tick(now_ns, 0, 0);
+    core.tick(now_ns + kPeriod_ns / 2, 0, 0);
+    now_ns += kPeriod_ns;
+  }
+  std::optional<CheckRecord> pump() { return conductor.pump({now_ns, now_ns}); }
+  Result<void> begin(std::uint32_t repeats) { return conductor.begin(request(repeats), {now_ns, now_ns}); }
+
+  const PreparedStation station = prepared();
+  can::EmbeddedBus bus{static_cast<double>(station.configuration.can.bitrate)};
+  can::CanBrake port{bus.end(can::EmbeddedBus::End::Station), station.codec};
+  plant::Plant brake;
+  rt::ControlCore core{port, station.supervisor};
+  CheckConductor conductor;
+  std::int64_t now_ns = 0;
+};
+
 TEST(EmbeddedStation, TwentyRepeatsWithinThirtySecondsOfBenchTime) {
   const CheckRecord record = check(plant(1), 20);
   EXPECT_EQ(record.verdict, Verdict::Pass) << record.reason;
@@ -38,31 +61,23 @@ TEST(EmbeddedStation, StandsByWithTheDriveOff) {
   const auto off = station.stand_by(400);
   ASSERT_TRUE(off) << off.error().message;
   EXPECT_EQ(off->size(), 400U);
-  EXPECT_THAT(driven_runs(std::span(&*off, 1)), ::testing::IsEmpty());
+  EXPECT_FALSE(is_driven(*off));
   const auto torque = torque_while_off(std::span(&*off, 1));
   ASSERT_TRUE(torque);
   EXPECT_NEAR(torque->mean_Nm, 0.05, 5.0 * torque->sd_Nm);
 }
 
 TEST(CheckConductor, RemembersTheTorqueBeforeTheCheckForTheRecord) {
-  PreparedStation station = prepared();
   sim::PlantConfiguration configuration = plant(1);
   configuration.effects.torque_offset_Nm = 0.05;
-  can::EmbeddedBus bus(1e6);
-  can::CanBrake port(bus.end(can::EmbeddedBus::End::Station), station.codec);
-  plant::Plant brake(bus.end(can::EmbeddedBus::End::Brake), station.codec, configuration, nullptr);
-  rt::ControlCore core(port, station.supervisor);
-  CheckConductor conductor(station, core, nullptr, WorkerMode::Synchronous);
-  std::int64_t now_ns = 0;
+  Bench bench(configuration, WorkerMode::Synchronous);
   const auto advance = [&] {
-    brake.tick(now_ns, 0, 0);
-    core.tick(now_ns + kPeriod_ns / 2, 0, 0);
-    now_ns += kPeriod_ns;
-    return conductor.pump({now_ns, now_ns});
+    bench.advance();
+    return bench.pump();
   };
   for (int check = 0; check < 2; ++check) {
     for (int k = 0; k < 4000; ++k) ASSERT_FALSE(advance());
-    ASSERT_TRUE(conductor.begin(request(1), {now_ns, now_ns}));
+    ASSERT_TRUE(bench.begin(1));
     std::optional<CheckRecord> record;
     while (!record) record = advance();
     EXPECT_EQ(record->fault, FaultCause::None) << record->reason;
@@ -127,44 +142,33 @@ TEST(EmbeddedStation, ABrakeThatItsModelDoesNotExplainIsNoFail) {
 TEST(CheckConductor, ConcludesBesideItsCalls) {
   sim::PlantConfiguration configured = plant(1);
   ASSERT_TRUE(sim::set_effect(configured.effects, "force-lag", 0.012));
-  const PreparedStation station = prepared();
-  can::EmbeddedBus bus(static_cast<double>(station.configuration.can.bitrate));
-  can::CanBrake port(bus.end(can::EmbeddedBus::End::Station), station.codec);
-  plant::Plant brake(bus.end(can::EmbeddedBus::End::Brake), station.codec, configured, nullptr);
-  rt::ControlCore core(port, station.supervisor);
-  CheckConductor conductor(station, core, nullptr, WorkerMode::Background);
-  std::int64_t now_ns = 0;
-  const auto advance = [&] {
-    brake.tick(now_ns, 0, 0);
-    core.tick(now_ns + kPeriod_ns / 2, 0, 0);
-    now_ns += kPeriod_ns;
-  };
-  while (core.status().state.load() == StationState::Init) advance();
-  const auto begun = conductor.begin(request(4), {now_ns, now_ns});
+  Bench bench(configured, WorkerMode::Background);
+  while (bench.core.status().state.load() == StationState::Init) bench.advance();
+  const auto begun = bench.begin(4);
   ASSERT_TRUE(begun) << begun.error().message;
-  while (!conductor.concluding()) {
-    advance();
-    ASSERT_FALSE(conductor.pump({now_ns, now_ns}));
+  while (!bench.conductor.concluding()) {
+    bench.advance();
+    ASSERT_FALSE(bench.pump());
   }
   // The runs are being diagnosed, which takes far longer than this.
-  EXPECT_TRUE(conductor.busy());
-  EXPECT_EQ(conductor.progress().recorded, 4u);
-  EXPECT_FALSE(conductor.begin(request(4), {now_ns, now_ns}));
+  EXPECT_TRUE(bench.conductor.busy());
+  EXPECT_EQ(bench.conductor.progress().recorded, 4u);
+  EXPECT_FALSE(bench.begin(4));
   std::optional<CheckRecord> record;
   while (!record) {
-    advance();
-    record = conductor.pump({now_ns, now_ns});
+    bench.advance();
+    record = bench.pump();
   }
-  EXPECT_FALSE(conductor.busy());
-  EXPECT_FALSE(conductor.concluding());
+  EXPECT_FALSE(bench.conductor.busy());
+  EXPECT_FALSE(bench.conductor.concluding());
   EXPECT_EQ(record->verdict, Verdict::Error);
   EXPECT_EQ(record->runs.size(), 4u);
   EXPECT_TRUE(record->cause) << record->reason;
-  EXPECT_TRUE(conductor.begin(request(4), {now_ns, now_ns})) << "ready for the next";
-  core.requests().stop.store(true);
-  while (!conductor.concluding()) {
-    advance();
-    conductor.pump({now_ns, now_ns});
+  EXPECT_TRUE(bench.begin(4)) << "ready for the next";
+  bench.core.requests().stop.store(true);
+  while (!bench.conductor.concluding()) {
+    bench.advance();
+    bench.pump();
   }
 }
 

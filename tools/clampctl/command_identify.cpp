@@ -1,7 +1,6 @@
 #include <cmath>
 #include <memory>
 #include <optional>
-#include <span>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -248,10 +247,10 @@ int identify_files(IdentifyOptions options) {
     Result<LoadedRun> loaded = read_run(file);
     if (!loaded) return cli::refuse(loaded.error());
     for (const std::string& notice : loaded->notices) cli::print_notice(notice);
-    if (driven_runs(std::span(&loaded->run, 1)).empty())
-      cli::print_notice(fmt::format("{}: the drive is off in all rows; it is left out", file));
-    else
+    if (is_driven(loaded->run))
       runs.push_back(std::move(loaded->run));
+    else
+      cli::print_notice(fmt::format("{}: the drive is off in all rows; it is left out", file));
   }
   const Method method = *parse_method(options.method);
   const Estimate summary = options.extended ? identify_extended(runs, *options.extended, settings)

@@ -1,6 +1,5 @@
 #include <filesystem>
 #include <memory>
-#include <span>
 
 #include <fmt/format.h>
 
@@ -77,7 +76,7 @@ int simulate(const SimulateOptions& options) {
   const Result<Run> trajectory = make_manoeuvre(options.manoeuvre, nominal, optimal->run);
   if (!trajectory) return cli::refuse(trajectory.error());
   Result<std::vector<Run>> runs = std::vector<Run>();
-  if (driven_runs(std::span(&*trajectory, 1)).empty()) {
+  if (!is_driven(*trajectory)) {
     for (std::uint64_t repeat = 0; repeat < options.repeats; ++repeat) {
       sim::PlantConfiguration other = *plant;
       other.seed += repeat;

@@ -1,6 +1,5 @@
 #include "tools/clampctl/settle_check.hpp"
 
-#include <span>
 #include <utility>
 #include <vector>
 
@@ -41,13 +40,9 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
     settled.problem = "nothing to settle: the check did not end by itself";
     return settled;
   }
-  std::vector<Run> runs;
-  for (const RunRecord& run : record.runs) runs.push_back(run.run);
-
+  const std::vector<Run> runs = runs_of(record);
   SettleOptions options;
-  options.diagnose.nominal = nominal;
-  options.diagnose.torque_while_off = record.torque_while_off;
-  options.diagnose.tare_sd = SensorNoise{record.tare_force_sd_N, record.tare_velocity_sd_rad_s};
+  options.diagnose = diagnose_options(record, nominal);
   options.diagnose.progress = [&line](double share, const std::string& words) { line.show(share, words); };
   std::string announced;
   options.announce = [&](const NextExperiment& next) {
@@ -55,7 +50,7 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
     announced += fmt::format("Next experiment: {}.\n", next.why);
   };
   const Drive drive = [&](const Run& trajectory, int repeats) -> Result<std::vector<Run>> {
-    if (driven_runs(std::span(&trajectory, 1)).empty())
+    if (!is_driven(trajectory))
       return station.stand_by(trajectory.size()).map([](Run&& off) { return std::vector{std::move(off)}; });
     if (const Result<void> usable = station.use_trajectory(trajectory); !usable)
       return tl::unexpected(usable.error());

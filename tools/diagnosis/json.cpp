@@ -1,7 +1,6 @@
 #include "tools/diagnosis/json.hpp"
 
 #include <cmath>
-#include <span>
 
 #include <nlohmann/json.hpp>
 
@@ -106,7 +105,7 @@ ordered_json next_json(const std::optional<NextExperiment>& next) {
           {"torque_Nm", numbers(run.torque_Nm)},
           {"velocity_rad_s", numbers(run.velocity_rad_s)},
           {"force_N", numbers(run.force_N)},
-          {"drive_off", driven_runs(std::span(&run, 1)).empty()}};
+          {"drive_off", !is_driven(run)}};
 }
 
 ordered_json torque_while_off_json(const std::optional<TorqueWhileOff>& torque) {

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <span>
 
 #include <fmt/format.h>
 
@@ -210,7 +209,7 @@ bool has_gain(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
 }
 
 std::string how_to_record(const NextExperiment& experiment) {
-  if (!driven_runs(std::span(&experiment.trajectory, 1)).empty()) return "";
+  if (is_driven(experiment.trajectory)) return "";
   return "nothing is to be driven: record the readings with the drive off, in a run file with the column "
          "drive_enabled, 0 in every row";
 }

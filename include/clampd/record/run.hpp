@@ -41,7 +41,10 @@ std::optional<TorqueWhileOff> torque_while_off(std::span<const Run> runs);
 std::optional<TorqueWhileOff> pooled(const std::optional<TorqueWhileOff>& a,
                                      const std::optional<TorqueWhileOff>& b);
 
-/// Those in which the drive was on at any time.
+/// Whether the drive was on at any time.
+bool is_driven(const Run& run);
+
+/// Those that are.
 std::vector<Run> driven_runs(std::span<const Run> runs);
 
 /// A run as read from a file, and what a careful reader would tell its user about it.
