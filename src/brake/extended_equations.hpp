@@ -78,27 +78,31 @@ class ExtendedEquations {
     effects_detail::TorqueInput<T> input{torque, row.previous_torque_Nm + error, row.next_torque_Nm + error,
                                          row.later_torque_Nm + error, row.gap_s};
     const int substeps = is_stiff_ ? values.substeps(plain(states).data(), row.torque_Nm, row) : 1;
-    const int steps = std::max(1, static_cast<int>(std::ceil(row.gap_s / kLargestStep_s - 1e-6))) * substeps;
     T next[ExtendedBrake::kMostStates];
     std::copy(states, states + ExtendedBrake::kMostStates, next);
     undo_reading(input, states, next);
     if (chain(Stage::Filter).empty()) {
       std::copy(next + 2, next + ExtendedBrake::kMostStates, states + 2);
-      for (int i = 0; i < steps; ++i) step(states, input.torque_Nm, row, row.gap_s / steps, values);
+      move(states, input, row, substeps, values);
       return;
     }
     const T force_before = force_at(states, row);
     T midway[ExtendedBrake::kMostStates];
     std::copy(next, next + ExtendedBrake::kMostStates, midway);
     std::copy(next, next + ExtendedBrake::kMostStates, states);
-    for (int i = 0; i < steps; ++i) step(states, input.torque_Nm, row, row.gap_s / steps, values);
+    const T until_reversal = move(states, input, row, substeps, values);
     const T force_after = force_at(states, row);
     const T velocity_before = midway[1];
     for (int i = 0; i < states_; ++i) midway[i] = 0.5 * (midway[i] + states[i]);
     midway[0] += row.gap_s / 8.0 * (velocity_before - states[1]);
     const T bend = 4.0 * (force_before - 2.0 * force_at(midway, row) + force_after);
-    const effects_detail::Transit<T> transit{row.gap_s, force_before,    force_after,
-                                             bend,      velocity_before, states[1]};
+    effects_detail::Transit<T> transit{row.gap_s,       force_before, force_after, bend,
+                                       velocity_before, states[1],    T(0.0),      T(0.0)};
+    constexpr double kAtOnce = 1e-6;  // of a row: no straight of its own
+    if (until_reversal > kAtOnce * row.gap_s && until_reversal < (1.0 - kAtOnce) * row.gap_s) {
+      transit.until_reversal_s = until_reversal;
+      transit.since_reversal_s = row.gap_s - until_reversal;
+    }
     std::copy(states, states + ExtendedBrake::kMostStates, next);
     each(chain(Stage::Filter), states,
          [&](const auto& effect, const auto& own, int at) { effect.on_filter(transit, own, next + at); });
@@ -291,9 +295,28 @@ class ExtendedEquations {
     states[1] = reached.velocity;
   }
 
-  void step(T* states, const T& torque, const RowInput& row, double length,
-            const ExtendedEquations<double>& values) const {
+  /// From row to row. Returns when in between the brake last came to rest or reversed; 0: it did not.
+  T move(T* states, const effects_detail::TorqueInput<T>& input, const RowInput& row, int substeps,
+         const ExtendedEquations<double>& values) const {
+    T reversal(0.0);
+    const auto stretch = [&](const T& torque, double begin_s, double length_s) {
+      const int steps =
+          std::max(1, static_cast<int>(std::ceil(substeps * length_s / kLargestStep_s - 1e-6)));
+      for (int i = 0; i < steps; ++i) {
+        const T within = step(states, torque, row, length_s / steps, values);
+        if (within > 0.0) reversal = begin_s + i * (length_s / steps) + within;
+      }
+    };
+    if (input.early_s > 0.0) stretch(input.early_torque_Nm, 0.0, input.early_s);
+    stretch(input.torque_Nm, input.early_s, row.gap_s - input.early_s);
+    return reversal;
+  }
+
+  /// Returns when in it the brake last came to rest or reversed; 0: it did not.
+  T step(T* states, const T& torque, const RowInput& row, double length,
+         const ExtendedEquations<double>& values) const {
     T left = T(length);
+    T reversal = T(0.0);
     for (int crossing = 0; crossing < kMaximumCrossings; ++crossing) {
       const double velocity = effects_detail::value_of(states[1]);
       const double direction =
@@ -301,13 +324,13 @@ class ExtendedEquations {
       if (direction == 0.0) {
         // An infinitesimal velocity dies within an infinitesimal time.
         finish(states, {states[0], T(0.0)}, left, torque, row, 1.0);
-        return;
+        return reversal;
       }
       const Reached reached = runge_kutta(states, torque, row, direction, left);
       const double end_velocity = effects_detail::value_of(reached.velocity);
       if (!(direction * end_velocity < 0.0)) {
         finish(states, reached, left, torque, row, direction);
-        return;
+        return reversal;
       }
       T time(values.crossing_time(plain(states).data(), effects_detail::value_of(torque), row, direction,
                                   effects_detail::value_of(left), end_velocity));
@@ -322,8 +345,10 @@ class ExtendedEquations {
       stop.velocity = T(0.0);
       finish(states, stop, time, torque, row, direction);
       left -= time;
-      if (!(left > 0.0)) return;
+      reversal = length - left;
+      if (!(left > 0.0)) break;
     }
+    return reversal;
   }
 
   bool has_own_states() const { return states_ > 2; }  ///< to be remembered from row to row

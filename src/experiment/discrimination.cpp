@@ -4,7 +4,6 @@
 #include <cmath>
 #include <limits>
 #include <memory>
-#include <numbers>
 #include <string_view>
 #include <utility>
 
@@ -57,15 +56,9 @@ constexpr ManoeuvreSegment open_to(double duration_s, double opening_rad) {
   return {.duration_s = duration_s, .opening_rad = opening_rad};
 }
 
-/// To and fro about a place so fast that a lag and a delay of a fraction of a row differ: by how much is left
-/// at this frequency and what the motor has to spare there.
-Segments shaken(const ManoeuvreSegment& there, double frequency_Hz, double acceleration_rad_s2) {
-  constexpr double kDuration_s = 0.5;
-  const double per_s = 2.0 * std::numbers::pi * frequency_Hz;
-  return {there,
-          {.duration_s = kDuration_s,
-           .cycles = static_cast<int>(frequency_Hz * kDuration_s),
-           .swing_rad = 2.0 * acceleration_rad_s2 / (per_s * per_s)}};
+/// To and fro with all torque: what tells a lag from a delay of a fraction of a row is the acceleration alone.
+Segments shaken(const ManoeuvreSegment& there, double swing_rad, double torque_Nm) {
+  return {there, {.duration_s = 0.9, .swing_rad = swing_rad, .torque_Nm = torque_Nm}};
 }
 
 /// Manoeuvres of every kind that shows an effect: what the search starts from.
@@ -107,18 +100,19 @@ std::vector<Prototype> prototypes() {
     for (const double t_s : {0.05, 0.1, 0.2, 0.4})
       all.push_back({"sweeps in the clearance",
                      repeated({open_to(t_s, opening_rad), open_to(t_s, 0.3)}, t_s < 0.2 ? 3 : 2, {})});
-  for (const double frequency_Hz : {60.0, 120.0, 200.0, 250.0}) {
-    all.push_back({"fast shaking in the clearance", shaken(open_to(0.1, 3.0), frequency_Hz, 6e3)});
-    for (const double force_N : {3e3, 8e3, 15e3})
-      all.push_back({"fast shaking under load", shaken(to(0.12, force_N), frequency_Hz, 3.5e3)});
-  }
+  for (const double swing_rad : {0.02, 0.06, 0.2, 0.6})
+    for (const double torque_Nm : {1.4, 2.0, 2.6}) {
+      all.push_back({"shaking in the clearance", shaken(open_to(0.1, 3.0), swing_rad, torque_Nm)});
+      for (const auto& [t_s, force_N] : {std::pair{0.12, 4e3}, {0.18, 9e3}, {0.24, 16e3}})
+        all.push_back({"shaking under load", shaken(to(t_s, force_N), swing_rad, torque_Nm)});
+    }
   all.push_back({"fast and slow sweeps in the clearance",
                  {open_to(0.1, 8.0), open_to(0.1, 0.5), open_to(0.5, 8.0), open_to(0.5, 0.5)}});
   return all;
 }
 
 bool is_hold(const Segments& segments, std::size_t i) {
-  return i > 0 && segments[i].cycles == 0 && segments[i].force_N == segments[i - 1].force_N &&
+  return i > 0 && segments[i].cycles == 0 && segments[i].swing_rad == 0.0 && segments[i].force_N == segments[i - 1].force_N &&
          segments[i].opening_rad == segments[i - 1].opening_rad;
 }
 
@@ -130,6 +124,12 @@ double duration_of(const Segments& segments) {
 
 void stretch(Segments& segments, double by) {
   for (ManoeuvreSegment& segment : segments) segment.duration_s *= by;
+}
+
+/// Half as fast takes twice as long, or half the torque where that makes the pace.
+void slow_down(Segments& segments, double by) {
+  stretch(segments, by);
+  for (ManoeuvreSegment& segment : segments) segment.torque_Nm /= by;
 }
 
 void fit_duration(Segments& segments, const DiscriminationOptions& options) {
@@ -148,10 +148,12 @@ class Knobs {
       add(i, Knob::Duration, std::log(prototype[i].duration_s), std::log(kShortestSegment_s),
           std::log(options.longest_s), 0.3);
       if (is_hold(prototype, i)) continue;
-      if (prototype[i].swing_rad > 0.0)
+      if (prototype[i].swing_rad > 0.0) {
         add(i, Knob::Swing, std::log(prototype[i].swing_rad), std::log(kLeastSwing_rad),
             std::log(kMostOpening_rad), 0.3);
-      else if (prototype[i].force_N > 0.0)
+        add(i, Knob::Torque, std::log(prototype[i].torque_Nm), std::log(0.1 * options.torque_limit_Nm),
+            std::log(kNominalShare * options.torque_limit_Nm), 0.1);
+      } else if (prototype[i].force_N > 0.0)
         add(i, Knob::Force, prototype[i].force_N / most_N, kLeastForce_N / most_N, 1.0, 0.15);
       else if (prototype[i].opening_rad > 0.0)
         add(i, Knob::Opening, prototype[i].opening_rad / kMostOpening_rad, 0.02, 1.0, 0.15);
@@ -178,6 +180,9 @@ class Knobs {
         case Knob::Swing:
           segment.swing_rad = std::exp(x[i]);
           break;
+        case Knob::Torque:
+          segment.torque_Nm = std::exp(x[i]);
+          break;
       }
     }
     for (std::size_t i = 1; i < segments.size(); ++i)
@@ -192,7 +197,7 @@ class Knobs {
  private:
   struct Knob {
     std::size_t segment;
-    enum Kind { Duration, Force, Opening, Swing } kind;
+    enum Kind { Duration, Force, Opening, Swing, Torque } kind;
   };
   void add(std::size_t segment, Knob::Kind kind, double value, double low, double high, double size) {
     knobs_.push_back({segment, kind});
@@ -244,7 +249,7 @@ class Search {
       fit_duration(candidate.segments, options_);
       candidate.rate = rate_of(candidate.segments);
       if (std::isfinite(candidate.rate) || duration_of(candidate.segments) >= options_.longest_s) break;
-      stretch(candidate.segments, kSlower);
+      slow_down(candidate.segments, kSlower);
     }
     return candidate;
   }

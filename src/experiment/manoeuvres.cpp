@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <numbers>
+#include <optional>
 #include <vector>
 
 #include <fmt/format.h>
@@ -89,6 +90,10 @@ double position_of(const PolynomialStiffness& stiffness, double force_N) {
   return 0.5 * (low + high);
 }
 
+int rows_of(const ManoeuvreSegment& segment) {
+  return static_cast<int>(std::lround(segment.duration_s / kPeriod_s));
+}
+
 /// Positions wanted at each millisecond.
 std::vector<double> plan_positions(std::span<const ManoeuvreSegment> segments,
                                    const PolynomialStiffness& stiffness) {
@@ -96,16 +101,16 @@ std::vector<double> plan_positions(std::span<const ManoeuvreSegment> segments,
   for (const ManoeuvreSegment& segment : segments) {
     const double from_rad = positions_rad.back();
     const double from_N = stiffness.force_N(from_rad);
-    const bool shakes = segment.cycles > 0 && segment.swing_rad > 0.0;
     const double to_rad =
         segment.force_N > 0.0 ? position_of(stiffness, segment.force_N) : -segment.opening_rad;
-    const auto rows = static_cast<int>(std::lround(segment.duration_s / kPeriod_s));
+    const int rows = rows_of(segment);
     for (int k = 1; k <= rows; ++k) {
       const double s = static_cast<double>(k) / rows;
       if (segment.cycles > 0) {
         const double share = 0.5 - 0.5 * std::cos(2.0 * std::numbers::pi * segment.cycles * s);
-        positions_rad.push_back(shakes ? from_rad - share * segment.swing_rad
-                                       : position_of(stiffness, from_N + share * (segment.force_N - from_N)));
+        positions_rad.push_back(position_of(stiffness, from_N + share * (segment.force_N - from_N)));
+      } else if (segment.swing_rad > 0.0) {
+        positions_rad.push_back(from_rad);
       } else {
         positions_rad.push_back(from_rad + (to_rad - from_rad) * s * s * s * (10.0 + s * (-15.0 + 6.0 * s)));
       }
@@ -128,6 +133,64 @@ double torque_for(const PaperBrake& brake, const BrakeParameters& nominal, const
   }
   return 0.5 * (low + high);
 }
+
+/// To and fro between two places, all torque one way or the other: the most acceleration that it has, all the
+/// time. It turns round where braking with all torque ends at the place.
+class Shaking {
+ public:
+  Shaking(const PaperBrake& brake, const BrakeParameters& nominal, const ManoeuvreSegment& segment,
+          double from_rad)
+      : brake_(brake),
+        nominal_(nominal),
+        torque_Nm_(segment.torque_Nm),
+        far_rad_(from_rad),
+        near_rad_(from_rad - segment.swing_rad) {}
+
+  /// Of the next row; at the end of the last of `rows_left` the brake rests.
+  double torque_for_row(const BrakeState& state, int rows_left) {
+    if (rows_left <= stop(state, state[1] > 0.0 ? -torque_Nm_ : torque_Nm_).rows + kSettlingRows)
+      return std::clamp(torque_for(brake_, nominal_, state, 0.0), -torque_Nm_, torque_Nm_);
+    const double all_Nm = push_ * torque_Nm_;
+    if (!overshoots(state, all_Nm)) return all_Nm;
+    double enough_Nm = -all_Nm, too_much_Nm = all_Nm;
+    for (int i = 0; i < 30; ++i) {
+      const double middle_Nm = 0.5 * (enough_Nm + too_much_Nm);
+      (overshoots(state, middle_Nm) ? too_much_Nm : enough_Nm) = middle_Nm;
+    }
+    push_ = -push_;
+    return enough_Nm;
+  }
+
+ private:
+  static constexpr int kSettlingRows = 3;
+  static constexpr int kLongestStop = 200;
+  struct Stop {
+    double position_rad;
+    int rows;
+  };
+  /// Where the brake first comes to rest under a torque, and after how many rows.
+  Stop stop(BrakeState state, double torque_Nm) const {
+    int rows = 0;
+    for (; state[1] != 0.0 && rows < kLongestStop; ++rows) {
+      const BrakeState next = advance(brake_, state, torque_Nm, kPeriod_s);
+      if (next[1] * state[1] <= 0.0)
+        return {state[0] + 0.5 * kPeriod_s * state[1] * state[1] / (state[1] - next[1]), rows + 1};
+      state = next;
+    }
+    return {state[0], rows};
+  }
+  /// Whether the place is passed if this torque acts for one row more and the brake then brakes.
+  bool overshoots(const BrakeState& state, double torque_Nm) const {
+    const BrakeState next = advance(brake_, state, torque_Nm, kPeriod_s);
+    const double place_rad = push_ > 0.0 ? far_rad_ : near_rad_;
+    return push_ * next[1] > 0.0 && push_ * (stop(next, -push_ * torque_Nm_).position_rad - place_rad) > 0.0;
+  }
+
+  const PaperBrake& brake_;
+  const BrakeParameters& nominal_;
+  double torque_Nm_, far_rad_, near_rad_;
+  double push_ = -1.0;
+};
 
 }  // namespace
 
@@ -156,7 +219,14 @@ Result<Run> follow_segments(std::string_view name, std::span<const ManoeuvreSegm
   Run run;
   run.name = name;
   BrakeState state = BrakeState::Zero();
+  std::optional<Shaking> shaking;
+  std::size_t segment = 0, end_of_segment = 0;
   for (std::size_t k = 0; k < wanted_rad.size(); ++k) {
+    while (k == end_of_segment && segment < segments.size()) {
+      shaking.reset();
+      if (segments[segment].swing_rad > 0.0) shaking.emplace(brake, nominal, segments[segment], state[0]);
+      end_of_segment += static_cast<std::size_t>(rows_of(segments[segment++]));
+    }
     const std::size_t next = std::min(k + 1, wanted_rad.size() - 1);
     const std::size_t after = std::min(k + 2, wanted_rad.size() - 1);
     // Central difference of the plan, and back onto it where the rows have drifted off.
@@ -164,7 +234,9 @@ Result<Run> follow_segments(std::string_view name, std::span<const ManoeuvreSegm
     const bool holds = wanted_rad[k] == wanted_rad[next] && wanted_rad[next] == wanted_rad[after];
     constexpr double kPull_per_s = 100.0;
     if (!holds) velocity_rad_s += kPull_per_s * (wanted_rad[k] - state[0]);
-    const double torque_Nm = torque_for(brake, nominal, state, holds ? 0.0 : velocity_rad_s);
+    const double torque_Nm =
+        shaking ? shaking->torque_for_row(state, static_cast<int>(end_of_segment - k))
+                : torque_for(brake, nominal, state, holds ? 0.0 : velocity_rad_s);
     if (!(std::abs(torque_Nm) <= kTorqueLimit_Nm))
       return failure(fmt::format("manoeuvre {}: at {} ms the nominal brake would need more than {} N m", name,
                                  k, kTorqueLimit_Nm));

@@ -261,6 +261,40 @@ TEST(ForceReading, OfALagOrADelayFollowsTheBendBetweenRows) {
   EXPECT_GT(bend, 1.0) << "N: or straight lines would do";
 }
 
+/// Friction turns round or ceases within the row, and the velocity with it is no straight line.
+TEST(VelocityReading, OfALagOrADelayFollowsTheBendAtAReversal) {
+  constexpr double kLag_s = 0.2e-3, kLate = 0.4, kPosition = 22.0, kStep = 1e-7;
+  const ParameterVector theta = nominal_parameters();
+  const FixedParameters fixed;
+  const ExtendedBrake lagging({BrakeParameters{}, {{find_effect("velocity-lag"), {kLag_s}}}});
+  const ExtendedBrake late({BrakeParameters{}, {{find_effect("channel-skew"), {kLate, 0, 2}}}});
+  double bend = 0.0;
+  for (const auto& [torque_Nm, start] :
+       {std::pair{-2.6, 2.0}, {-2.6, 5.0}, {-2.6, 10.0}, {2.6, -2.0}, {2.6, -5.0}, {2.6, -9.0}, {0.4, 1.0}}) {
+    double position = kPosition, velocity = start, filtered = start, delayed = start;
+    for (int i = 0; i < 10'000; ++i) {
+      if (i == 6'000) delayed = velocity;
+      const double friction = friction_of(theta[TC], theta[Ts0] + theta[mus] * elastic_N(position), velocity);
+      const double pushed =
+          velocity + kStep / fixed.inertia_kg_m2 * (torque_Nm - fixed.ratio_m_rad * elastic_N(position));
+      const double most = kStep / fixed.inertia_kg_m2 * friction;
+      const double before = velocity;
+      velocity = std::abs(pushed) <= most ? 0.0 : pushed - std::copysign(most, pushed);
+      position += kStep * velocity;
+      filtered += (0.5 * (before + velocity) - filtered) * -std::expm1(-kStep / kLag_s);
+    }
+    ASSERT_LE(start * velocity, 0.0) << "it was to reverse, or to stop";
+    const RowInput row{torque_Nm, torque_Nm, torque_Nm, torque_Nm, 0.0, 1e-3, 0.0};
+    const auto reading = [&](const ExtendedBrake& brake) {
+      return brake.read(brake.advance(brake.settled(kPosition, start, row), row), row).velocity_rad_s;
+    };
+    EXPECT_NEAR(reading(lagging), filtered, 0.02) << torque_Nm << " N m from " << start << " rad/s";
+    EXPECT_NEAR(reading(late), delayed, 0.02) << torque_Nm << " N m from " << start << " rad/s";
+    bend = std::max(bend, std::abs(velocity + kLate * (start - velocity) - delayed));
+  }
+  EXPECT_GT(bend, 0.5) << "rad/s: or a straight line would do";
+}
+
 TEST(ExtendedBrake, KnowsWhatActsWhileTheTorqueReadsTheSame) {
   const ExtendedBrake brake({BrakeParameters{},
                              {{find_effect("torque-offset"), {0.02}},

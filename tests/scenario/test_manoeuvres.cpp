@@ -59,6 +59,39 @@ TEST(Manoeuvres, DoWhatTheirDescriptionsSay) {
   EXPECT_EQ(staircase.velocity_rad_s[200], 0.0);
 }
 
+TEST(Manoeuvres, ShakingGoesToAndFroWithAllTorqueAndEndsAtRest) {
+  constexpr double kSwing_rad = 0.3, kTorque_Nm = 2.5;
+  const ManoeuvreSegment segments[] = {{.duration_s = 0.2, .force_N = 12e3},
+                                       {.duration_s = 0.5, .swing_rad = kSwing_rad, .torque_Nm = kTorque_Nm},
+                                       {.duration_s = 0.2}};
+  const clampd::Run run = follow_segments("shaking", segments, BrakeParameters{}).value();
+  ASSERT_EQ(run.size(), 901u);
+  ASSERT_TRUE(build_reference(run, BrakeParameters{}));
+  const double from_rad = run.position_rad[200];
+  EXPECT_NEAR(run.force_N[200], 12e3, 50.0);
+  int all = 0, reversals = 0;
+  double nearest_rad = from_rad, farthest_rad = from_rad - kSwing_rad;
+  for (std::size_t k = 200; k < 700; ++k) {
+    ASSERT_LE(std::abs(run.torque_Nm[k]), kTorque_Nm + 1e-12) << k;
+    all += std::abs(run.torque_Nm[k]) > 0.999 * kTorque_Nm;
+    reversals += run.velocity_rad_s[k] * run.velocity_rad_s[k + 1] < 0.0;
+    nearest_rad = std::min(nearest_rad, run.position_rad[k]);
+    if (k > 220) farthest_rad = std::max(farthest_rad, run.position_rad[k]);
+  }
+  EXPECT_GT(all, 400) << "rows of 500; the others turn the torque round";
+  // With 2.5 N m less load and friction, there and back take some 20 ms.
+  EXPECT_GT(reversals, 40);
+  EXPECT_LT(reversals, 60);
+  EXPECT_NEAR(nearest_rad, from_rad - kSwing_rad, 0.05 * kSwing_rad);
+  EXPECT_NEAR(farthest_rad, from_rad, 0.05 * kSwing_rad);
+  EXPECT_EQ(run.velocity_rad_s[700], 0.0);
+  EXPECT_NEAR(run.position_rad[900], 0.0, 0.01) << "and on from there";
+
+  const ManoeuvreSegment weak[] = {segments[0], {.duration_s = 0.5, .swing_rad = 0.3, .torque_Nm = 0.01}};
+  const clampd::Run held = follow_segments("weak", weak, BrakeParameters{}).value();
+  EXPECT_EQ(held.position_rad[250], held.position_rad[650]) << "friction is stronger";
+}
+
 TEST(Manoeuvres, ErrorsSayWhatAndWhatElse) {
   const auto unknown = make_manoeuvre("loop", BrakeParameters{}, {});
   ASSERT_FALSE(unknown.has_value());

@@ -94,9 +94,9 @@ TEST(Settle, RunsTheExperimentAndNamesTheCause) {
 }
 
 TEST(Settle, TwinsAreNotDrivenFor) {
-  const Runs runs = optimal_runs(plant_with("velocity-lag", 0.1e-3));
+  const Runs runs = optimal_runs(plant_with("velocity-lag", 0.02e-3));
   const Diagnosis before = ambiguous(
-      runs, {{find_effect("velocity-lag"), {0.1e-3}}, {find_effect("channel-skew"), {0.1, 0.0, 2.0}}});
+      runs, {{find_effect("velocity-lag"), {0.02e-3}}, {find_effect("channel-skew"), {0.02, 0.0, 2.0}}});
   const auto settlement = settle(before, runs,
                                  [](const Trajectory&, int) -> Driven {
                                    ADD_FAILURE() << "nothing was to be driven";

@@ -1,5 +1,6 @@
 #include "tools/assembly/embedded_station.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <optional>
 #include <utility>
@@ -26,6 +27,9 @@ std::int64_t utc_now_ns() {
 
 EmbeddedStation::EmbeddedStation(PreparedStation station, const sim::PlantConfiguration& plant)
     : station_(std::move(station)),
+      own_deadline_s_(station_.configuration.check.deadline_s),
+      own_repeats_(static_cast<double>(station_.plan.repeats)),
+      own_rows_(static_cast<double>(station_.plan.reference.rows.size())),
       bus_(static_cast<double>(station_.configuration.can.bitrate)),
       port_(bus_.end(can::EmbeddedBus::End::Station), station_.codec),
       brake_(bus_.end(can::EmbeddedBus::End::Brake), station_.codec, plant, nullptr),
@@ -71,11 +75,15 @@ Result<Run> EmbeddedStation::stand_by(std::size_t rows) {
   return readings.run();
 }
 
-Result<void> EmbeddedStation::use_trajectory(const Run& trajectory) {
+Result<void> EmbeddedStation::use_trajectory(const Run& trajectory, std::uint32_t repeats) {
   Result<Reference> reference = build_reference(trajectory, station_.configuration.model);
   if (!reference) return tl::unexpected(reference.error());
   station_.plan.reference = std::move(*reference);
   station_.trajectory_sha256 = sha256_hex(format_run(trajectory));
+  const auto times = static_cast<double>(repeats);
+  const double longer_s = std::max(0.0, static_cast<double>(trajectory.size()) - own_rows_) * kPeriod_s;
+  station_.configuration.check.deadline_s =
+      own_deadline_s_ * std::max(1.0, times / own_repeats_) + times * longer_s;
   return {};
 }
 

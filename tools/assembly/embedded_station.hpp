@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 
@@ -34,14 +35,18 @@ class EmbeddedStation {
   /// What the brake reads in so many samples with the drive off. Errors: the station is in FAULT.
   Result<Run> stand_by(std::size_t rows);
 
-  /// Checks from now on replay this trajectory of the nominal brake, on the same brake, under the same limits
-  /// and supervisor. Errors: those of build_reference().
-  Result<void> use_trajectory(const Run& trajectory);
+  /// Checks from now on replay this trajectory of the nominal brake so often, on the same brake, under the same
+  /// limits and supervisor; their deadline grows with what they drive more. Errors: those of
+  /// build_reference().
+  Result<void> use_trajectory(const Run& trajectory, std::uint32_t repeats);
 
  private:
   void advance_one_period();
 
   PreparedStation station_;
+  const double own_deadline_s_;
+  const double own_repeats_;
+  const double own_rows_;
   can::EmbeddedBus bus_;
   can::CanBrake port_;
   plant::Plant brake_;

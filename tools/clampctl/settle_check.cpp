@@ -52,11 +52,11 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
   const Drive drive = [&](const Run& trajectory, int repeats) -> Result<std::vector<Run>> {
     if (!is_driven(trajectory))
       return station.stand_by(trajectory.size()).map([](Run&& off) { return std::vector{std::move(off)}; });
-    if (const Result<void> usable = station.use_trajectory(trajectory); !usable)
-      return tl::unexpected(usable.error());
     CheckRequest request;
     request.serial = record.serial;
     request.repeats = static_cast<std::uint32_t>(repeats);
+    if (const Result<void> usable = station.use_trajectory(trajectory, request.repeats); !usable)
+      return tl::unexpected(usable.error());
     request.operator_name = record.operator_name;
     request.part_number = record.part_number;
     request.batch = record.batch;

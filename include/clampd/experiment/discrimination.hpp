@@ -33,7 +33,7 @@ struct DiscriminationOptions {
   /// turns the decision, whatever the runs so far say.
   double wanted_nats = 30.0;
   double enough_nats = 12.0;  ///< below this, over the most repeats, nothing is settled
-  int most_repeats = 10;
+  int most_repeats = 40;
   double longest_off_s = 10.0;  ///< of a record of the torque reading with the drive off
   /// Number of the run, counted from the first that the rivals were fitted to: for what changes with it.
   double run_number = 0.0;

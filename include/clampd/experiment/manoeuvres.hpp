@@ -17,7 +17,8 @@ struct ManoeuvreSegment {
       0.0;  ///< goes to where the nominal brake has this force (a hold if it is there already) ...
   double opening_rad = 0.0;  ///< ... or, with force_N = 0, opens the clearance by this much
   int cycles = 0;            ///< of a sinusoid in force, to force_N and back, in place of a move
-  double swing_rad = 0.0;    ///< with cycles: of a sinusoid in position, open by this much and back
+  double swing_rad = 0.0;    ///< open by this much and back as often as can be, in place of a move ...
+  double torque_Nm = 0.0;    ///< ... with this torque in either direction
 };
 
 struct ManoeuvreInfo {

@@ -78,14 +78,26 @@ class ChannelSkew final : public EquationsOf<ChannelSkew> {
   }
   template <class T>
   void filter(const effects_detail::Transit<T>& transit, const effects_detail::Own<T>& own, T* states) const {
+    // The chord's end for which read() meets the velocity's two straights or the force's parabola.
     if (effects_detail::value_of(own.parameters[2]) == 2.0)
-      states[0] = transit.velocity_before_rad_s;
-    else  // the chord's end for which read() meets the parabola
+      states[0] = transit.reverses() ? beyond_reversal(transit, own.parameters[0])
+                                     : transit.velocity_before_rad_s;
+    else
       states[0] = transit.force_before_N - 0.5 * (1.0 - own.parameters[0]) * transit.force_bend_N;
   }
   template <class T>
   void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own, T* states) const {
     states[0] = effects_detail::value_of(own.parameters[2]) == 2.0 ? instant.velocity : instant.force_N;
+  }
+
+ private:
+  template <class T>
+  static T beyond_reversal(const effects_detail::Transit<T>& transit, const T& fraction) {
+    const T& after = transit.velocity_after_rad_s;
+    const T before_reversal_s = fraction * transit.gap_s - transit.since_reversal_s;
+    if (!(before_reversal_s > 0.0)) return after - after * transit.gap_s / transit.since_reversal_s;
+    const T late = transit.velocity_before_rad_s * before_reversal_s / transit.until_reversal_s;
+    return after + (late - after) / fraction;
   }
 };
 

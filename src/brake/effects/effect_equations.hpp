@@ -61,11 +61,15 @@ struct TorqueInput {
   T torque_Nm;
   T previous_torque_Nm, next_torque_Nm, later_torque_Nm;  ///< of the rows before and after
   double gap_s;
+  double early_s = 0.0;       ///< at first another torque acts for so long,
+  T early_torque_Nm = T(0.0);  ///< this one
 
   /// Changes all readings alike.
   template <class Change>
   void each_reading(const Change& change) {
-    for (T* reading : {&previous_torque_Nm, &torque_Nm, &next_torque_Nm, &later_torque_Nm}) change(*reading);
+    for (T* reading :
+         {&previous_torque_Nm, &torque_Nm, &next_torque_Nm, &later_torque_Nm, &early_torque_Nm})
+      change(*reading);
   }
 };
 
@@ -101,13 +105,17 @@ struct Readout {
 };
 
 /// From one row to the next, for filters in the readings. The torque is held, so the velocity goes straight
-/// as good as always; the force does not.
+/// as good as always, but for a reversal, where friction turns round: there it has a bend. The force is bent
+/// all the way.
 template <class T>
 struct Transit {
   double gap_s;
   T force_before_N, force_after_N;
   T force_bend_N;  ///< second derivative times gap_s^2
   T velocity_before_rad_s, velocity_after_rad_s;
+  T until_reversal_s;  ///< when the velocity passes zero, or comes to rest; 0: it does not
+  T since_reversal_s;  ///< from there to the next row
+  bool reverses() const { return value_of(until_reversal_s) > 0.0; }
 };
 
 /// Where an effect can act: the functions of Equations but the last.
@@ -135,8 +143,9 @@ class Equations {
 
 /// y' = (u - y) / lag over a gap in which u goes from `before` to `after`, along a parabola whose second
 /// derivative is `bend` / gap^2; y before is `state`.
-template <class T>
-T first_order(const T& lag_s, double gap_s, const T& before, const T& after, const T& bend, const T& state) {
+template <class T, class Gap>
+T first_order(const T& lag_s, const Gap& gap_s, const T& before, const T& after, const T& bend,
+              const T& state) {
   using std::exp;
   const T share = lag_s / gap_s;
   // What y would be in the end, and at the beginning, had it followed this parabola for ever.

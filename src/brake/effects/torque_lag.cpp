@@ -1,3 +1,5 @@
+#include <algorithm>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -22,20 +24,23 @@ class TorqueLag final : public EquationsOf<TorqueLag> {
                                   .states = 1};
     return kInfo;
   }
-  /// The mean over the row acts; the velocity at its end is then exact.
+  /// Its mean acts, while it changes quickly and over the rest of the row: the velocity at the row's end is
+  /// then exact, and it passes zero in between when it should.
   template <class T>
   void torque(effects_detail::TorqueInput<T>& input, const effects_detail::Own<T>& own, T* states) const {
     using std::exp;
-    const T lag = own.parameters[0] / input.gap_s;
+    const T& lag_s = own.parameters[0];
     const T target = input.torque_Nm;
     const T distance = own.states[0] - target;
-    if (!(lag > 1e-3)) {
-      input.torque_Nm += distance * lag;
+    if (!(lag_s > 1e-3 * input.gap_s)) {
+      input.torque_Nm += distance * lag_s / input.gap_s;
       states[0] = target;
       return;
     }
-    const T left = exp(-1.0 / lag);
-    input.torque_Nm += distance * lag * (1.0 - left);
+    input.early_s = std::min(2.0 * effects_detail::value_of(lag_s), 0.5 * input.gap_s);
+    const T left_then = exp(-input.early_s / lag_s), left = exp(-input.gap_s / lag_s);
+    input.early_torque_Nm = target + distance * lag_s * (1.0 - left_then) / input.early_s;
+    input.torque_Nm = target + distance * lag_s * (left_then - left) / (input.gap_s - input.early_s);
     states[0] = target + distance * left;
   }
   template <class T>

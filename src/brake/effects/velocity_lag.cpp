@@ -28,8 +28,16 @@ class VelocityLag final : public EquationsOf<VelocityLag> {
   }
   template <class T>
   void filter(const effects_detail::Transit<T>& transit, const effects_detail::Own<T>& own, T* states) const {
-    states[0] = effects_detail::first_order(own.parameters[0], transit.gap_s, transit.velocity_before_rad_s,
-                                            transit.velocity_after_rad_s, T(0.0), own.states[0]);
+    const auto straight = [&](const auto& gap_s, const T& before, const T& after, const T& state) {
+      return effects_detail::first_order(own.parameters[0], gap_s, before, after, T(0.0), state);
+    };
+    const T &before = transit.velocity_before_rad_s, &after = transit.velocity_after_rad_s;
+    if (!transit.reverses()) {
+      states[0] = straight(transit.gap_s, before, after, own.states[0]);
+      return;
+    }
+    const T at_reversal = straight(transit.until_reversal_s, before, T(0.0), own.states[0]);
+    states[0] = straight(transit.since_reversal_s, T(0.0), after, at_reversal);
   }
   template <class T>
   void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>&, T* states) const {
