@@ -56,7 +56,8 @@ constexpr ManoeuvreSegment open_to(double duration_s, double opening_rad) {
   return {.duration_s = duration_s, .opening_rad = opening_rad};
 }
 
-/// To and fro with all torque: what tells a lag from a delay of a fraction of a row is the acceleration alone.
+/// To and fro with all torque. What tells a lag from a delay of a fraction of a row is the acceleration, and
+/// of the velocity the moment when friction turns round.
 Segments shaken(const ManoeuvreSegment& there, double swing_rad, double torque_Nm) {
   return {there, {.duration_s = 0.9, .swing_rad = swing_rad, .torque_Nm = torque_Nm}};
 }
@@ -100,10 +101,10 @@ std::vector<Prototype> prototypes() {
     for (const double t_s : {0.05, 0.1, 0.2, 0.4})
       all.push_back({"sweeps in the clearance",
                      repeated({open_to(t_s, opening_rad), open_to(t_s, 0.3)}, t_s < 0.2 ? 3 : 2, {})});
-  for (const double swing_rad : {0.02, 0.06, 0.2, 0.6})
-    for (const double torque_Nm : {1.4, 2.0, 2.6}) {
+  for (const double torque_Nm : {1.6, 2.6})
+    for (const double swing_rad : {0.015, 0.03, 0.15, 0.6}) {
       all.push_back({"shaking in the clearance", shaken(open_to(0.1, 3.0), swing_rad, torque_Nm)});
-      for (const auto& [t_s, force_N] : {std::pair{0.12, 4e3}, {0.18, 9e3}, {0.24, 16e3}})
+      for (const auto& [t_s, force_N] : {std::pair{0.12, 4e3}, {0.18, 9e3}, {0.27, 20e3}})
         all.push_back({"shaking under load", shaken(to(t_s, force_N), swing_rad, torque_Nm)});
     }
   all.push_back({"fast and slow sweeps in the clearance",
@@ -112,7 +113,8 @@ std::vector<Prototype> prototypes() {
 }
 
 bool is_hold(const Segments& segments, std::size_t i) {
-  return i > 0 && segments[i].cycles == 0 && segments[i].swing_rad == 0.0 && segments[i].force_N == segments[i - 1].force_N &&
+  return i > 0 && segments[i].cycles == 0 && segments[i].swing_rad == 0.0 &&
+         segments[i].force_N == segments[i - 1].force_N &&
          segments[i].opening_rad == segments[i - 1].opening_rad;
 }
 

@@ -134,8 +134,9 @@ double torque_for(const PaperBrake& brake, const BrakeParameters& nominal, const
   return 0.5 * (low + high);
 }
 
-/// To and fro between two places, all torque one way or the other: the most acceleration that it has, all the
-/// time. It turns round where braking with all torque ends at the place.
+/// To and fro, all torque one way or the other: the most acceleration that it has, all the time. It turns
+/// round where braking with all torque ends at the place. The swings differ, so that the reversals come at
+/// all instants of a row.
 class Shaking {
  public:
   Shaking(const PaperBrake& brake, const BrakeParameters& nominal, const ManoeuvreSegment& segment,
@@ -143,13 +144,13 @@ class Shaking {
       : brake_(brake),
         nominal_(nominal),
         torque_Nm_(segment.torque_Nm),
-        far_rad_(from_rad),
-        near_rad_(from_rad - segment.swing_rad) {}
+        swing_rad_(segment.swing_rad),
+        from_rad_(from_rad) {}
 
-  /// Of the next row; at the end of the last of `rows_left` the brake rests.
+  /// Of the next row. The last reversal before the end is at the start, and there the brake stays.
   double torque_for_row(const BrakeState& state, int rows_left) {
-    if (rows_left <= stop(state, state[1] > 0.0 ? -torque_Nm_ : torque_Nm_).rows + kSettlingRows)
-      return std::clamp(torque_for(brake_, nominal_, state, 0.0), -torque_Nm_, torque_Nm_);
+    ++rows_of_cycle_;
+    if (ends_) return std::clamp(torque_for(brake_, nominal_, state, 0.0), -torque_Nm_, torque_Nm_);
     const double all_Nm = push_ * torque_Nm_;
     if (!overshoots(state, all_Nm)) return all_Nm;
     double enough_Nm = -all_Nm, too_much_Nm = all_Nm;
@@ -157,39 +158,46 @@ class Shaking {
       const double middle_Nm = 0.5 * (enough_Nm + too_much_Nm);
       (overshoots(state, middle_Nm) ? too_much_Nm : enough_Nm) = middle_Nm;
     }
-    push_ = -push_;
+    turn(rows_left);
     return enough_Nm;
   }
 
  private:
-  static constexpr int kSettlingRows = 3;
+  static constexpr int kSpareRows = 6;
   static constexpr int kLongestStop = 200;
-  struct Stop {
-    double position_rad;
-    int rows;
-  };
-  /// Where the brake first comes to rest under a torque, and after how many rows.
-  Stop stop(BrakeState state, double torque_Nm) const {
-    int rows = 0;
-    for (; state[1] != 0.0 && rows < kLongestStop; ++rows) {
-      const BrakeState next = advance(brake_, state, torque_Nm, kPeriod_s);
-      if (next[1] * state[1] <= 0.0)
-        return {state[0] + 0.5 * kPeriod_s * state[1] * state[1] / (state[1] - next[1]), rows + 1};
-      state = next;
-    }
-    return {state[0], rows};
-  }
+  static constexpr double kVariation = 0.3;  // of the swing
+  static constexpr double kGolden = 0.6180339887498949;
+
   /// Whether the place is passed if this torque acts for one row more and the brake then brakes.
   bool overshoots(const BrakeState& state, double torque_Nm) const {
-    const BrakeState next = advance(brake_, state, torque_Nm, kPeriod_s);
-    const double place_rad = push_ > 0.0 ? far_rad_ : near_rad_;
-    return push_ * next[1] > 0.0 && push_ * (stop(next, -push_ * torque_Nm_).position_rad - place_rad) > 0.0;
+    BrakeState at = advance(brake_, state, torque_Nm, kPeriod_s);
+    for (int rows = 0; rows < kLongestStop && push_ * at[1] > 0.0; ++rows) {
+      const BrakeState next = advance(brake_, at, -push_ * torque_Nm_, kPeriod_s);
+      const double part = push_ * next[1] > 0.0 ? 1.0 : at[1] / (at[1] - next[1]);
+      const double reached_rad = part < 1.0 ? at[0] + 0.5 * part * kPeriod_s * at[1] : next[0];
+      if (push_ * (reached_rad - place_rad()) > 0.0) return true;
+      at = next;
+    }
+    return false;
+  }
+  double place_rad() const {
+    return push_ > 0.0 ? from_rad_ : from_rad_ - swing_rad_ * (1.0 - kVariation * variation_);
+  }
+  void turn(int rows_left) {
+    push_ = -push_;
+    if (push_ > 0.0) return;
+    ends_ = rows_left < rows_of_cycle_ + kSpareRows;
+    rows_of_cycle_ = 0;
+    variation_ = std::fmod(variation_ + kGolden, 1.0);
   }
 
   const PaperBrake& brake_;
   const BrakeParameters& nominal_;
-  double torque_Nm_, far_rad_, near_rad_;
+  double torque_Nm_, swing_rad_, from_rad_;
   double push_ = -1.0;
+  double variation_ = 0.0;
+  int rows_of_cycle_ = 0;
+  bool ends_ = false;
 };
 
 }  // namespace
@@ -234,9 +242,8 @@ Result<Run> follow_segments(std::string_view name, std::span<const ManoeuvreSegm
     const bool holds = wanted_rad[k] == wanted_rad[next] && wanted_rad[next] == wanted_rad[after];
     constexpr double kPull_per_s = 100.0;
     if (!holds) velocity_rad_s += kPull_per_s * (wanted_rad[k] - state[0]);
-    const double torque_Nm =
-        shaking ? shaking->torque_for_row(state, static_cast<int>(end_of_segment - k))
-                : torque_for(brake, nominal, state, holds ? 0.0 : velocity_rad_s);
+    const double torque_Nm = shaking ? shaking->torque_for_row(state, static_cast<int>(end_of_segment - k))
+                                     : torque_for(brake, nominal, state, holds ? 0.0 : velocity_rad_s);
     if (!(std::abs(torque_Nm) <= kTorqueLimit_Nm))
       return failure(fmt::format("manoeuvre {}: at {} ms the nominal brake would need more than {} N m", name,
                                  k, kTorqueLimit_Nm));

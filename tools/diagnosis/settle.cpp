@@ -13,8 +13,8 @@ namespace clampd {
 namespace {
 
 constexpr std::ptrdiff_t kMostRivals = 3;
-/// Expected of one round; two rounds of it settle most doubts, and a wrong decision it makes none.
-constexpr double kWorthIt_nats = 6.0;
+/// Expected of one round; three rounds of it settle most doubts, and a wrong decision it makes none.
+constexpr double kWorthIt_nats = 4.0;
 
 Result<Discrimination> design_between(std::span<const Diagnosis::Rival> group, const NoiseLevels& noise,
                                       const BrakeParameters& nominal, std::size_t runs_so_far) {

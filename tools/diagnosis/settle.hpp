@@ -39,7 +39,7 @@ using Drive = std::function<Result<std::vector<Run>>(const Run& trajectory, int 
 
 struct SettleOptions {
   DiagnoseOptions diagnose;
-  int most_rounds = 2;
+  int most_rounds = 3;
   /// Called before an experiment is run.
   std::function<void(const NextExperiment&)> announce;
 };
