@@ -295,6 +295,38 @@ TEST(VelocityReading, OfALagOrADelayFollowsTheBendAtAReversal) {
   EXPECT_GT(bend, 0.5) << "rad/s: or a straight line would do";
 }
 
+/// In the row in which the torque changes: what acts then is no constant, and friction turns round at an
+/// instant that depends on it.
+TEST(TorqueLag, ReversesTheBrakeWhenTheTorqueDoes) {
+  constexpr double kTorque_Nm = 2.6, kPosition = 22.0, kStep = 1e-7;
+  const ParameterVector theta = nominal_parameters();
+  const FixedParameters fixed;
+  double at_once = 0.0;
+  for (const double lag_s : {0.03e-3, 0.1e-3, 0.4e-3})
+    for (const double start : {1.0, 3.0, 5.0, 8.0}) {
+      double position = kPosition, velocity = start;
+      for (int i = 0; i < 10'000; ++i) {
+        const double acting_Nm = kTorque_Nm * (2.0 * std::exp(-(i + 0.5) * kStep / lag_s) - 1.0);
+        const double friction =
+            friction_of(theta[TC], theta[Ts0] + theta[mus] * elastic_N(position), velocity);
+        const double pushed =
+            velocity + kStep / fixed.inertia_kg_m2 * (acting_Nm - fixed.ratio_m_rad * elastic_N(position));
+        const double most = kStep / fixed.inertia_kg_m2 * friction;
+        velocity = std::abs(pushed) <= most ? 0.0 : pushed - std::copysign(most, pushed);
+        position += kStep * velocity;
+      }
+      const ExtendedBrake lagging({BrakeParameters{}, {{find_effect("torque-lag"), {lag_s}}}});
+      const RowInput before{kTorque_Nm, kTorque_Nm, -kTorque_Nm, -kTorque_Nm, 0.0, 1e-3, 0.0};
+      const RowInput row{kTorque_Nm, -kTorque_Nm, -kTorque_Nm, -kTorque_Nm, 1e-3, 1e-3, 0.0};
+      const ExtendedBrake::State end = lagging.advance(lagging.settled(kPosition, start, before), row);
+      EXPECT_NEAR(end[1], velocity, 0.1) << lag_s << " s, from " << start << " rad/s";
+      const ExtendedBrake brake{ExtendedParameters{}};
+      at_once =
+          std::max(at_once, std::abs(velocity - brake.advance(brake.settled(kPosition, start, row), row)[1]));
+    }
+  EXPECT_GT(at_once, 5.0) << "rad/s: without the lag";
+}
+
 TEST(ExtendedBrake, KnowsWhatActsWhileTheTorqueReadsTheSame) {
   const ExtendedBrake brake({BrakeParameters{},
                              {{find_effect("torque-offset"), {0.02}},
