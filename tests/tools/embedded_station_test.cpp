@@ -3,6 +3,7 @@
 #include <cmath>
 #include <optional>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -10,6 +11,7 @@
 
 #include "clampd/archive/json.hpp"
 #include "clampd/base/clock.hpp"
+#include "clampd/experiment/manoeuvres.hpp"
 #include "support/temporary_directory.hpp"
 #include "tools/assembly/check_conductor.hpp"
 #include "tools/embedded_check.hpp"
@@ -65,6 +67,23 @@ TEST(EmbeddedStation, StandsByWithTheDriveOff) {
   const auto torque = torque_while_off(std::span(&*off, 1));
   ASSERT_TRUE(torque);
   EXPECT_NEAR(torque->mean_Nm, 0.05, 5.0 * torque->sd_Nm);
+}
+
+TEST(EmbeddedStation, AnExperimentHasTheTimeThatItTakes) {
+  PreparedStation prepared_station = prepared();
+  prepared_station.configuration.check.deadline_s = 6.0;
+  EmbeddedStation station(std::move(prepared_station), plant(1));
+  const auto one = station.run_check(request(1), nullptr, nullptr);
+  ASSERT_TRUE(one);
+  EXPECT_EQ(one->verdict, Verdict::Pass) << one->reason;
+  constexpr std::uint32_t kRepeats = 6;
+  const auto slow = make_manoeuvre("slow-sinusoid", BrakeParameters{}, {}).value();
+  ASSERT_TRUE(station.use_trajectory(slow, kRepeats));
+  const auto experiment = station.run_check(request(kRepeats), nullptr, nullptr);
+  ASSERT_TRUE(experiment);
+  EXPECT_EQ(experiment->runs.size(), kRepeats) << experiment->reason;
+  EXPECT_NE(experiment->verdict, Verdict::Timeout);
+  EXPECT_GT(experiment->duration_s, kRepeats * 2.35);
 }
 
 TEST(CheckConductor, RemembersTheTorqueBeforeTheCheckForTheRecord) {
