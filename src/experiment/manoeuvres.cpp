@@ -163,7 +163,8 @@ class Shaking {
   }
 
  private:
-  static constexpr int kSpareRows = 6;
+  /// Cycles that are left for the next one, which may be a longer one, and to stop after it.
+  static constexpr double kSpareCycles = 1.6;
   static constexpr int kLongestStop = 200;
   static constexpr double kVariation = 0.3;  // of the swing
   static constexpr double kGolden = 0.6180339887498949;
@@ -186,7 +187,7 @@ class Shaking {
   void turn(int rows_left) {
     push_ = -push_;
     if (push_ > 0.0) return;
-    ends_ = rows_left < rows_of_cycle_ + kSpareRows;
+    ends_ = rows_left < kSpareCycles * rows_of_cycle_;
     rows_of_cycle_ = 0;
     variation_ = std::fmod(variation_ + kGolden, 1.0);
   }
@@ -199,6 +200,11 @@ class Shaking {
   int rows_of_cycle_ = 0;
   bool ends_ = false;
 };
+
+tl::unexpected<Error> still_shaking(std::string_view name) {
+  return failure(
+      fmt::format("manoeuvre {}: there is no time for its swings; make them smaller or it longer", name));
+}
 
 }  // namespace
 
@@ -231,6 +237,7 @@ Result<Run> follow_segments(std::string_view name, std::span<const ManoeuvreSegm
   std::size_t segment = 0, end_of_segment = 0;
   for (std::size_t k = 0; k < wanted_rad.size(); ++k) {
     while (k == end_of_segment && segment < segments.size()) {
+      if (shaking && state[1] != 0.0) return still_shaking(name);
       shaking.reset();
       if (segments[segment].swing_rad > 0.0) shaking.emplace(brake, nominal, segments[segment], state[0]);
       end_of_segment += static_cast<std::size_t>(rows_of(segments[segment++]));
@@ -254,6 +261,7 @@ Result<Run> follow_segments(std::string_view name, std::span<const ManoeuvreSegm
     run.position_rad.push_back(state[0]);
     state = advance(brake, state, torque_Nm, kPeriod_s);
   }
+  if (shaking && state[1] != 0.0) return still_shaking(name);
   return run;
 }
 

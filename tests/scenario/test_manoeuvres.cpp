@@ -96,6 +96,18 @@ TEST(Manoeuvres, ShakingGoesToAndFroWithAllTorqueAndEndsAtRest) {
   EXPECT_EQ(run.velocity_rad_s[700], 0.0);
   EXPECT_NEAR(run.position_rad[900], 0.0, 0.01) << "and on from there";
 
+  for (const double duration_s : {0.06, 0.08, 0.1, 0.15}) {
+    const ManoeuvreSegment brief[] = {
+        segments[0], {.duration_s = duration_s, .swing_rad = kSwing_rad, .torque_Nm = kTorque_Nm}};
+    const clampd::Run rests = follow_segments("brief", brief, BrakeParameters{}).value();
+    EXPECT_EQ(rests.velocity_rad_s.back(), 0.0) << duration_s;
+  }
+  const ManoeuvreSegment far[] = {segments[0],
+                                  {.duration_s = 0.05, .swing_rad = 5.0, .torque_Nm = kTorque_Nm}};
+  const auto endless = follow_segments("far", far, BrakeParameters{});
+  ASSERT_FALSE(endless);
+  EXPECT_THAT(endless.error().message, ::testing::HasSubstr("no time for its swings"));
+
   const ManoeuvreSegment weak[] = {segments[0], {.duration_s = 0.5, .swing_rad = 0.3, .torque_Nm = 0.01}};
   const clampd::Run held = follow_segments("weak", weak, BrakeParameters{}).value();
   EXPECT_EQ(held.position_rad[250], held.position_rad[650]) << "friction is stronger";

@@ -31,6 +31,7 @@ struct ManoeuvreInfo {
 std::span<const ManoeuvreInfo> manoeuvres();
 
 /// Segments as a trajectory of the nominal brake, as make_manoeuvre() does its own. `name` is for messages.
+/// Errors: also a swing that is too long for its segment.
 Result<Run> follow_segments(std::string_view name, std::span<const ManoeuvreSegment> segments,
                             const BrakeParameters& nominal);
 
