@@ -417,10 +417,22 @@ Result<Discrimination> design_discrimination(std::span<const RivalModel> rivals,
   design.evidence_per_sample_nats = value.evidence_per_sample_nats;
   design.first = value.first;
   design.second = value.second;
-  for (design.repeats = 1;; ++design.repeats) {
-    design.expected_evidence_nats =
-        comparison.evidence_after(*reference, design.repeats, kCarefulRelinearisations);
-    if (design.expected_evidence_nats >= options.wanted_nats || design.repeats == options.most_repeats) break;
+  // The fewest that are enough: more runs never tell less.
+  const auto evidence_nats = [&](int repeats) {
+    return comparison.evidence_after(*reference, repeats, kCarefulRelinearisations);
+  };
+  int too_few = 0;
+  design.repeats = options.most_repeats;
+  design.expected_evidence_nats = evidence_nats(design.repeats);
+  while (design.expected_evidence_nats >= options.wanted_nats && design.repeats - too_few > 1) {
+    const int middle = (too_few + design.repeats) / 2;
+    const double expected_nats = evidence_nats(middle);
+    if (expected_nats >= options.wanted_nats) {
+      design.repeats = middle;
+      design.expected_evidence_nats = expected_nats;
+    } else {
+      too_few = middle;
+    }
   }
   if (!value.credible) {
     // No kind of manoeuvre keeps the rivals from losing their way: far apart, but nobody knows how far.
