@@ -19,7 +19,7 @@ namespace clampd {
 template <class T>
 class ExtendedEquations {
  public:
-  static constexpr int kMostOwn = 32;
+  static constexpr int kMostOwn = ExtendedBrake::kMostParameters;
   using Stage = effects_detail::Stage;
 
   explicit ExtendedEquations(const ExtendedParameters& parameters) : fixed_(parameters.base.fixed) {

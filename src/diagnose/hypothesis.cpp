@@ -179,6 +179,7 @@ Hypothesis taken_out(const Hypothesis& hypothesis, std::size_t effect, std::span
     }
   }
   reduced.estimate.settled = false;
+  reduced.estimate.log_likelihood = -std::numeric_limits<double>::infinity();
   return reduced;
 }
 
@@ -220,68 +221,111 @@ bool is_torque_impossible(const Hypothesis& hypothesis) {
   return hypothesis.estimate.noise.torque_Nm > kImpossibleTorque_Nm;
 }
 
-void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
-  candidate.is_fitted = true;
-  const double noise = hypothesis.estimate.noise.torque_Nm;
-  const double hopeless = hypothesis.estimate.log_likelihood - kHopeless_nats * hypothesis.estimate.readings;
-  Hypothesis best = candidate.fitted;
-  std::size_t fits = 0;
-  const auto gain = [&] {
-    return best.possible() ? best.log_likelihood() - hypothesis.log_likelihood()
-                           : -std::numeric_limits<double>::infinity();
-  };
-  const auto attempt = [&](const Start& start, double torque_noise_Nm) {
-    ++fits;
-    keep_if_better(fitted_from(start, hypothesis, torque_noise_Nm, kRoughIterations), best);
-  };
-  for (const Start& start : candidate.starts) {
-    if (fits > 0 && (fits >= kMostFits || start.predicted_gain < kWorthAFit * candidate.predicted_gain))
-      break;
-    if (is_scanned(*candidate.effect) && gain() > start.predicted_gain) break;
-    const bool other_shape = info_of(*candidate.effect).parameters.size() > 1;
-    if (fits > 0 && !other_shape && gain() > kStuck * candidate.predicted_gain) break;
-    attempt(start, noise);
+namespace {
+
+/// The rough fits of one candidate, the best of which stays.
+class RoughFits {
+ public:
+  RoughFits(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh)
+      : candidate_(candidate),
+        hypothesis_(hypothesis),
+        also_afresh_(also_afresh),
+        hopeless_(hypothesis.estimate.log_likelihood - kHopeless_nats * hypothesis.estimate.readings),
+        best_(candidate.fitted) {}
+
+  double gain() const {
+    return best_.possible() ? best_.log_likelihood() - hypothesis_.log_likelihood()
+                            : -std::numeric_limits<double>::infinity();
   }
-  const auto attempt_afresh = [&](const EffectValues& values) {
-    if (!also_afresh) return;
-    Hypothesis afresh = fitted_from({.values = values}, hypothesis, kModestTorque_Nm, kRoughIterations,
-                                    Brake::Nominal, hopeless);
-    if (afresh.estimate.log_likelihood < hopeless) return;
-    refit(afresh);
-    keep_if_better(std::move(afresh), best);
-  };
-  if (!candidate.starts.empty()) attempt_afresh(candidate.starts.front().values);
-  const auto& parameters = info_of(*candidate.effect).parameters;
-  for (std::size_t i = 0; i < parameters.size() && best.possible(); ++i) {
-    if (parameters[i].role != Role::Refinement) continue;
-    int misses = 0;
-    for (std::size_t other = 1; other < parameters[i].starts.size(); ++other) {
-      const double reached = gain();
-      EffectValues values = best.estimate.parameters.effects.back();
-      values.values = chosen_otherwise(*candidate.effect, values.values, i, parameters[i].starts[other]);
-      for (std::size_t j = 0; j < parameters.size(); ++j) {
-        // From a bound a search hardly gets away.
-        const double width = parameters[j].upper - parameters[j].lower;
-        if (parameters[j].role == Role::Strength && values.values[j] > parameters[j].upper - 0.05 * width)
-          values.values[j] = parameters[j].lower + 0.5 * width;
-      }
-      Hypothesis from = hypothesis;
-      from.estimate = without_effect(best.estimate, best.estimate.parameters.effects.size() - 1);
-      keep_if_better(fitted_from({.values = values}, from, best.estimate.noise.torque_Nm, kRoughIterations,
-                                 Brake::Fitted, hopeless),
-                     best);
-      const bool better = gain() > reached;
-      if (better)
-        attempt_afresh(best.estimate.parameters.effects.back());
-      else if (is_brake_impossible(best) || is_brake_impossible(hypothesis))
-        attempt_afresh(values);
-      misses = better ? 0 : misses + 1;
-      if (misses == kMostMisses) break;
+
+  void from_starts() {
+    std::size_t fits = 0;
+    for (const Start& start : candidate_.starts) {
+      if (fits > 0 && (fits >= kMostFits || start.predicted_gain < kWorthAFit * candidate_.predicted_gain))
+        break;
+      if (is_scanned(*candidate_.effect) && gain() > start.predicted_gain) break;
+      const bool other_shape = info_of(*candidate_.effect).parameters.size() > 1;
+      if (fits > 0 && !other_shape && gain() > kStuck * candidate_.predicted_gain) break;
+      ++fits;
+      keep_if_better(
+          fitted_from(start, hypothesis_, hypothesis_.estimate.noise.torque_Nm, kRoughIterations), best_);
+    }
+    if (!candidate_.starts.empty()) afresh(candidate_.starts.front().values);
+  }
+
+  /// Other choices of its refinements, from where the best one ended.
+  void refine() {
+    const auto& parameters = info_of(*candidate_.effect).parameters;
+    for (std::size_t i = 0; i < parameters.size() && best_.possible(); ++i) {
+      if (parameters[i].role != Role::Refinement) continue;
+      int misses = 0;
+      for (std::size_t other = 1; other < parameters[i].starts.size() && misses < kMostMisses; ++other)
+        misses = chosen(i, parameters[i].starts[other]) ? 0 : misses + 1;
     }
   }
-  candidate.gain = std::max(0.0, gain());
-  if (best.possible()) candidate.fitted = std::move(best);
-  candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
+
+  void keep() {
+    candidate_.is_fitted = true;
+    candidate_.gain = std::max(0.0, gain());
+    if (best_.possible()) candidate_.fitted = std::move(best_);
+    candidate_.evidence = evidence_of(candidate_.gain, candidate_.degrees, candidate_.alternatives);
+  }
+
+ private:
+  /// Whether this choice is better.
+  bool chosen(std::size_t parameter, double choice) {
+    const double reached = gain();
+    const auto& parameters = info_of(*candidate_.effect).parameters;
+    EffectValues values = best_.estimate.parameters.effects.back();
+    values.values = chosen_otherwise(*candidate_.effect, values.values, parameter, choice);
+    for (std::size_t j = 0; j < parameters.size(); ++j) {
+      // From a bound a search hardly gets away.
+      const double width = parameters[j].upper - parameters[j].lower;
+      if (parameters[j].role == Role::Strength && values.values[j] > parameters[j].upper - 0.05 * width)
+        values.values[j] = parameters[j].lower + 0.5 * width;
+    }
+    Hypothesis from = hypothesis_;
+    from.estimate = without_effect(best_.estimate, best_.estimate.parameters.effects.size() - 1);
+    keep_if_better(fitted_from({.values = values}, from, best_.estimate.noise.torque_Nm, kRoughIterations,
+                               Brake::Fitted, hopeless_),
+                   best_);
+    const bool better = gain() > reached;
+    if (better)
+      afresh(best_.estimate.parameters.effects.back());
+    else if (is_brake_impossible(best_) || is_brake_impossible(hypothesis_))
+      afresh(values);
+    return better;
+  }
+
+  /// From the nominal brake.
+  void afresh(const EffectValues& values) {
+    if (!also_afresh_) return;
+    Hypothesis fitted = fitted_from({.values = values}, hypothesis_, kModestTorque_Nm, kRoughIterations,
+                                    Brake::Nominal, hopeless_);
+    if (fitted.estimate.log_likelihood < hopeless_) return;
+    refit(fitted);
+    keep_if_better(std::move(fitted), best_);
+  }
+
+  Candidate& candidate_;
+  const Hypothesis& hypothesis_;
+  bool also_afresh_;
+  double hopeless_;
+  Hypothesis best_;
+};
+
+}  // namespace
+
+void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
+  RoughFits fits(candidate, hypothesis, also_afresh);
+  fits.from_starts();
+  fits.keep();
+}
+
+void refine(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
+  RoughFits fits(candidate, hypothesis, also_afresh);
+  fits.refine();
+  fits.keep();
 }
 
 void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hypothesis& hypothesis,
@@ -353,8 +397,7 @@ void refit(Hypothesis& hypothesis, int max_iterations, double least) {
 
 void settle(Hypothesis& hypothesis) {
   if (hypothesis.estimate.settled && promise_of(hypothesis) < kNotEnded_nats) return;
-  const double begun =
-      hypothesis.estimate.settled ? hypothesis.log_likelihood() : -std::numeric_limits<double>::infinity();
+  const double begun = hypothesis.log_likelihood();
   refit(hypothesis);
   /// Once more, from what `change` makes of the estimate; whether that helped.
   const auto again = [&](const auto& change) {

@@ -60,6 +60,9 @@ struct Candidate {
 /// `also_afresh`: from the nominal brake as well.
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh);
 
+/// The same with other choices of its refinements, from where fit() ended.
+void refine(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh);
+
 /// Once more, from these values beside another fit of the same hypothesis.
 void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hypothesis& hypothesis,
               Candidate& candidate);

@@ -32,6 +32,8 @@ constexpr double kAsGood_nats = 1.0;
 constexpr double kHarmonic = 0.03;
 /// Of what the best one gained: enough to be worth a fit from elsewhere.
 constexpr double kFair = 0.5;
+/// Of what the best one gained, in the form that each is tried in first: from here on another form may lead.
+constexpr double kWorthRefining = 0.3;
 /// Fitted to the end are those not behind the best rough fit by this share and these nats.
 constexpr double kLeading = 0.8;
 constexpr double kFarBehind_nats = 40.0;
@@ -151,6 +153,13 @@ class Selector {
         if (candidate.is_fitted) reached = std::max(reached, candidate.gain);
       return reached;
     };
+    const double refined = most();
+    for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
+      Candidate& candidate = candidates[worth[i]];
+      if (!is_itself(candidate) &&
+          candidate.gain > std::min(kWorthRefining * refined, refined - kFarBehind_nats))
+        refine(candidate, hypothesis, stuck);
+    });
     if (taken_out != nullptr) {
       const double fair = kFair * most();
       for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
@@ -167,7 +176,9 @@ class Selector {
       settled = std::none_of(candidates.begin(), candidates.end(), [&](const Candidate& other) {
         return !is_itself(other) && other.is_fitted && other.gain > candidate.gain - kClearly;
       });
-      if (!settled) fit(candidate, hypothesis, stuck);
+      if (settled) continue;
+      fit(candidate, hypothesis, stuck);
+      refine(candidate, hypothesis, stuck);
     }
     const double reached = most();
     std::vector<std::size_t> leading;

@@ -28,6 +28,8 @@ constexpr double kNoiseTolerance = 0.01;
 constexpr double kNegligibleTorque = 1e-7;  // a variance
 constexpr int kMostRounds = 12;
 constexpr int kNoiseIterations = 6;
+/// After so many it is seen whether a fit is hopeless.
+constexpr int kHopelessIterations = 6;
 
 /// Below this much torque noise (N m) nothing changes any more.
 constexpr double kSmallestTorque_Nm = 2e-5;
@@ -575,7 +577,10 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
     }
     if (estimate.iterations >= options.max_iterations) break;
     if (round > 0 && reached < options.least_log_likelihood) break;
-    const Descent descent = minimise(fit, point, options.max_iterations - estimate.iterations);
+    const bool may_be_hopeless = round == 0 && std::isfinite(options.least_log_likelihood);
+    const Descent descent = minimise(fit, point,
+                                     may_be_hopeless ? std::min(kHopelessIterations, options.max_iterations)
+                                                     : options.max_iterations - estimate.iterations);
     estimate.iterations += std::max(1, descent.iterations);
     if (!descent.possible) break;
     double change = 0.0;
@@ -585,7 +590,7 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
       variances = found;
     }
     estimate.settled = descent.settled && change < kNoiseTolerance;
-    if (estimate.settled && round > 0 && descent.iterations <= 1 && change < 0.1 * kNoiseTolerance) break;
+    if (estimate.settled && round > 0 && !descent.moved && change < 0.1 * kNoiseTolerance) break;
   }
   if (!estimate.possible || !fit.renew(best, best_variances)) return estimate;
   estimate.parameters = fit.model_at(best);

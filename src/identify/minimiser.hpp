@@ -55,6 +55,7 @@ struct Descent {
   bool possible = false;  ///< the fit can be evaluated at the unknowns reached
   bool settled = false;   ///< nothing more to gain
   bool at_kink = false;   ///< though the slopes there promise more
+  bool moved = false;     ///< the cost is less than at the beginning by more than the tolerance
   int iterations = 0;
 };
 
@@ -81,6 +82,7 @@ Descent MinimiserOf<Fit>::descend(Fit& fit, Eigen::VectorXd& unknowns, int max_i
   const double tolerance = minimiser::kToleranceEach * fit.NumParameters();
   Descent descent;
   descent.possible = fit.evaluate(unknowns);
+  const double begun = descent.possible ? fit.squares() : 0.0;
   bool stalled = false;
   bool has_stalled = false;
   while (descent.possible && descent.iterations < max_iterations) {
@@ -108,6 +110,7 @@ Descent MinimiserOf<Fit>::descend(Fit& fit, Eigen::VectorXd& unknowns, int max_i
       break;
     }
   }
+  descent.moved = descent.possible && begun - fit.squares() > tolerance;
   return descent;
 }
 

@@ -46,7 +46,7 @@ struct RowInput {
 class ExtendedBrake {
  public:
   static constexpr int kMostStates = 8;
-  static constexpr int kMostParameters = 24;
+  static constexpr int kMostParameters = 48;
   using State = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostStates, 1>;
 
   /// Asserts that states and parameters do not exceed the above.
