@@ -247,8 +247,8 @@ class RoughFits {
       const bool other_shape = info_of(*candidate_.effect).parameters.size() > 1;
       if (fits > 0 && !other_shape && gain() > kStuck * candidate_.predicted_gain) break;
       ++fits;
-      keep_if_better(
-          fitted_from(start, hypothesis_, hypothesis_.estimate.noise.torque_Nm, kRoughIterations), best_);
+      keep_if_better(fitted_from(start, hypothesis_, hypothesis_.estimate.noise.torque_Nm, kRoughIterations),
+                     best_);
     }
     if (!candidate_.starts.empty()) afresh(candidate_.starts.front().values);
   }

@@ -22,6 +22,8 @@ constexpr int kKnots = 6;
 constexpr double kDistinct = 0.3;
 /// Steps from so many standard deviations of the noise on are coarser than it; what they do is then no noise.
 constexpr double kCoarse = 1.0;
+/// By chance, a reading that was never held is further off where it repeats itself.
+constexpr double kHeld = 1e-3;
 /// Shapes of which less than this share is left when the parameters follow are not told from them.
 constexpr double kTold = 1e-2;
 /// The same of directions among shapes.
@@ -102,6 +104,48 @@ double step_of(std::span<const FitRun> data, bool force) {
     off += std::abs(steps - std::round(steps)) > 0.05;
   }
   return off * 50 < values.size() ? step : 0.0;
+}
+
+/// Whether the model is missed where a reading is the very one of the row before: then it was held, and not
+/// taken anew. Values that come back elsewhere are a reading's resolution, a limit or standstill instead.
+Correlation held_readings(std::span<const FilteredRun> runs, std::span<const FitRun> data, bool force) {
+  struct Stretch {
+    double value;
+    std::size_t run, first, rows;
+  };
+  std::vector<Stretch> stretches;
+  for (std::size_t r = 0; r < data.size(); ++r) {
+    const std::vector<double>& reading = force ? data[r].force_N : data[r].velocity_rad_s;
+    for (std::size_t k = 0; k < reading.size(); ++k) {
+      if (k > 0 && reading[k] == reading[k - 1])
+        ++stretches.back().rows;
+      else
+        stretches.push_back({reading[k], r, k, 1});
+    }
+  }
+  std::sort(stretches.begin(), stretches.end(),
+            [](const Stretch& a, const Stretch& b) { return a.value < b.value; });
+  Correlation result;
+  std::size_t held = 0, come_back = 0;
+  for (std::size_t i = 0; i < stretches.size();) {
+    std::size_t next = i + 1;
+    while (next < stretches.size() && stretches[next].value == stretches[i].value) ++next;
+    const Stretch& stretch = stretches[i];
+    if (next > i + 1) {
+      ++come_back;
+    } else if (stretch.rows > 1) {
+      ++held;
+      const std::vector<double>& z = force ? runs[stretch.run].force : runs[stretch.run].velocity;
+      for (std::size_t k = stretch.first + 1; k < stretch.first + stretch.rows; ++k) {
+        if (!std::isfinite(z[k])) continue;
+        result.statistic += z[k] * z[k];
+        result.degrees += 1.0;
+      }
+    }
+    i = next;
+  }
+  // With a resolution values come back elsewhere much more often than in the next row.
+  return held > come_back ? result : Correlation{};
 }
 
 /// Whether innovations are larger where something changes fast.
@@ -394,6 +438,18 @@ Residuals examine(const Hypothesis& hypothesis) {
   add_test("spread of the velocity", Location::Timing, spread_against_rates(filtered, hypothesis.runs, false),
            "the velocity is equally uncertain everywhere",
            "the velocity is more uncertain where something changes fast");
+  struct Held {
+    Location location;
+    Correlation found;
+  };
+  const Held held[] = {{Location::ForceReading, held_readings(filtered, hypothesis.runs, true)},
+                       {Location::VelocityReading, held_readings(filtered, hypothesis.runs, false)}};
+  for (const Held& reading : held)
+    add_test(
+        fmt::format("repeats of the {}", reading.location == Location::ForceReading ? "force" : "velocity"),
+        reading.location, reading.found,
+        "where it reads the very same as a row before, it is no further off than elsewhere",
+        "where it reads the very same as a row before, it is off: its last value was held");
   const LackOfFit repeats = lack_of_fit(filtered, hypothesis.runs);
   if (repeats.degrees_within > 50.0 && repeats.within > 0.0) {
     const double f = repeats.between / repeats.degrees_between / (repeats.within / repeats.degrees_within);
@@ -464,10 +520,18 @@ Residuals examine(const Hypothesis& hypothesis) {
       at += count;
     }
   });
-  const double tried = static_cast<double>(questions.size() + findings.size());
+  const auto tried = static_cast<double>(questions.size() + findings.size());
   const auto surprise_of = [&](std::size_t q) {
     return surprise_of_chi_square(2.0 * answers[q].gain, answers[q].degrees);
   };
+  // A reading that is held shows in all else, too, but comes from nothing else: it is told first.
+  for (const Held& reading : held) {
+    const double surprise = surprise_of_chi_square(reading.found.statistic, reading.found.degrees);
+    const double p = p_value_of(surprise, tried);
+    if (reading.found.degrees > 0.0 && p < kHeld)
+      residuals.dependences.push_back({std::string(kRepetition), reading.location,
+                                       0.5 * (reading.found.statistic - reading.found.degrees), p});
+  }
   // By how surprising: a free function of more shapes gains more by chance.
   std::vector<std::size_t> order(questions.size());
   for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;

@@ -110,8 +110,11 @@ std::string summary_words(const Diagnosis& diagnosis) {
       std::string where = "in a place that cannot be told";
       if (diagnosis.misfit.location) where = fmt::format("in the {}", to_string(*diagnosis.misfit.location));
       std::string on;
-      if (!diagnosis.misfit.dependences.empty())
-        on = fmt::format(", depending on {}", diagnosis.misfit.dependences.front().variable);
+      if (!diagnosis.misfit.dependences.empty()) {
+        const std::string& variable = diagnosis.misfit.dependences.front().variable;
+        on = variable == kRepetition ? ", which now and then only repeats its last value"
+                                     : fmt::format(", depending on {}", variable);
+      }
       return fmt::format("Something is wrong {}{}, and no known effect explains it.", where, on);
     }
   }

@@ -234,6 +234,30 @@ TEST(Diagnosis, SaysThatSomethingIsWrongWhereNoCandidateIsTheCause) {
 }
 
 /// A root of the speed instead of a constant: two effects make up for it, and leave a brake without friction.
+/// A bus that loses a sample now and then, and a station that takes the last value for it.
+TEST(Diagnosis, SaysThatAReadingWasHeld) {
+  Sealed set = faultless(1020);
+  for (clampd::Run& run : set.runs)
+    for (std::size_t k = 60; k + 4 < run.size(); k += 97)
+      std::fill_n(run.velocity_rad_s.begin() + static_cast<std::ptrdiff_t>(k) + 1, 4, run.velocity_rad_s[k]);
+  const Diagnosis diagnosis = spoken(set.runs);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Unexplained) << diagnosis.summary;
+  EXPECT_EQ(diagnosis.misfit.location, Location::VelocityReading);
+  ASSERT_FALSE(diagnosis.misfit.dependences.empty());
+  EXPECT_EQ(diagnosis.misfit.dependences.front().variable, "repetition");
+}
+
+/// A resolution that is finer than the noise repeats values, too, and there is nothing wrong with it.
+TEST(Diagnosis, DoesNotTakeAResolutionForReadingsThatWereHeld) {
+  Sealed set = faultless(1020);
+  for (clampd::Run& run : set.runs) {
+    for (double& velocity : run.velocity_rad_s) velocity = 0.05 * std::round(velocity / 0.05);
+    for (double& force : run.force_N) force = 5.0 * std::round(force / 5.0);
+  }
+  const Diagnosis diagnosis = spoken(set.runs);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
+}
+
 TEST(Diagnosis, ABrakeWithoutFrictionIsNoExplanation) {
   blind::Request request;
   request.kind = blind::Kind::OffList;

@@ -158,6 +158,7 @@ std::string variable(std::string_view name) {
   if (name == "run") return "the run: it changes from run to run";
   if (name == "torque") return "the torque";
   if (name == "rate") return "how quickly the readings change";
+  if (name == kRepetition) return "whether a reading only repeats the last one: it was held";
   return std::string(name);
 }
 

@@ -62,9 +62,13 @@ struct UnseenEffect {
   std::string reason;  ///< "no reversal under load"
 };
 
+/// Of a reading that is held: it depends on whether it repeats the row before.
+inline constexpr std::string_view kRepetition = "repetition";
+
 /// What the remaining misfit (of the base model, before any effect) depends on.
 struct Dependence {
-  std::string variable;  ///< "position", "velocity", "force", "time", "direction", "run", "torque"
+  std::string variable;  ///< "position", "velocity", "force", "time", "direction", "run", "torque", "rate",
+                         ///< "repetition"
   Location location = Location::TorqueBalance;
   double gain = 0.0;  ///< nats that a free function of the variable there would gain
   double p_value = 1.0;
