@@ -231,7 +231,7 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
   Hypothesis base;
   base.threads = SpareThreads(threads_or_all(options.threads));
   std::optional<TorqueWhileOff> torque_off = pooled(options.torque_while_off, torque_while_off(given));
-  base.estimate = fit_base(runs, options.nominal);
+  base.estimate = fit_base(runs, options.nominal, base.threads);
   if (!base.possible())
     return failure(
         "the base model cannot follow these runs at all: check columns and units, and that J and N are those "

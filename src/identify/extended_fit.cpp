@@ -602,10 +602,11 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
   return estimate;
 }
 
-ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start) {
-  ExtendedEstimate estimate;
+ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start,
+                          const SpareThreads& threads) {
   EstimatorOptions options;
   options.start = start;
+  options.threads = threads;
   const Estimate first = identify_prediction_error(runs, options);
   ExtendedEstimate warm;
   warm.parameters.base = start;
@@ -620,7 +621,9 @@ ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& star
         first.initial_states.size() == runs.size() && first.initial_states[r].allFinite()
             ? Eigen::VectorXd(first.initial_states[r])
             : Eigen::VectorXd(initial_state_guess(runs[r], warm.parameters.base.theta)));
-  return fit_extended(fit_runs(runs), warm);
+  ExtendedFitOptions fitting;
+  fitting.threads = threads;
+  return fit_extended(fit_runs(runs), warm, fitting);
 }
 
 ExtendedEstimate with_effect(const ExtendedEstimate& estimate, const EffectValues& effect) {

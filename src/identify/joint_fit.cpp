@@ -1,6 +1,7 @@
 #include "src/identify/joint_fit.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -114,18 +115,21 @@ void JointFit::set_output_error_gains(Evaluation& evaluation) {
 }
 
 void JointFit::weigh() const {
-  for (std::size_t r = 0; r < runs_.size(); ++r) {
+  for_each_index(runs_.size(), options_.threads, [&](std::size_t r) {
     now_.normals[r] = normal_equations(now_.linear[r]);
     add_initial_state_prior(initial_of(now_.unknowns, r) - guesses_[r], now_.normals[r]);
-  }
+  });
 }
 
 bool JointFit::use_innovations(const Eigen::VectorXd& unknowns, const Variances& variances) {
   const BrakeParameters parameters{theta_of(unknowns), options_.start.fixed};
-  for (std::size_t r = 0; r < runs_.size(); ++r)
-    if (!extended_kalman_filter(runs_[r], parameters, initial_of(unknowns, r), variances, weights_[r],
-                                now_.linear[r]))
-      return false;
+  std::atomic<bool> possible{true};
+  for_each_index(runs_.size(), options_.threads, [&](std::size_t r) {
+    if (possible && !extended_kalman_filter(runs_[r], parameters, initial_of(unknowns, r), variances,
+                                            weights_[r], now_.linear[r]))
+      possible = false;
+  });
+  if (!possible) return false;
   for (std::size_t r = 0; r < runs_.size(); ++r) before_.linear[r].gains = now_.linear[r].gains;
   variances_ = variances;
   innovations_ = true;
@@ -172,12 +176,15 @@ bool JointFit::evaluate(const double* unknowns) const {
   const BrakeParameters parameters{theta_of(now_.unknowns), options_.start.fixed};
   if (!within_bounds(parameters.theta)) return false;
   now_.normalised = parameters.theta.cwiseQuotient(nominal_parameters());
-  for (std::size_t r = 0; r < runs_.size(); ++r) {
+  std::atomic<bool> possible{true};
+  for_each_index(runs_.size(), options_.threads, [&](std::size_t r) {
+    if (!possible) return;
     const Eigen::Vector2d initial = initial_of(now_.unknowns, r);
     if (!(innovations_ ? linearise_with_gains(runs_[r], parameters, initial, now_.linear[r])
                        : linearise(runs_[r], parameters, initial, now_.linear[r])))
-      return false;
-  }
+      possible = false;
+  });
+  if (!possible) return false;
   weigh();
   now_.possible = true;
   return true;

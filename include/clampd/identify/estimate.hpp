@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "clampd/base/parallel.hpp"
 #include "clampd/base/result.hpp"
 #include "clampd/brake/parameters.hpp"
 
@@ -29,6 +30,7 @@ struct EstimatorOptions {
   std::optional<double> noise_velocity_rad_s;
   std::optional<double> noise_torque_Nm;
   Loss loss = Loss::Squared;
+  SpareThreads threads;  ///< for runs beside each other; the result is the same
 
   Result<void> validate() const;
 };

@@ -73,7 +73,8 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
                               const ExtendedFitOptions& options = {});
 
 /// A first estimate of the base model, by identify_prediction_error(). Not possible if that fails.
-ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start);
+ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start,
+                          const SpareThreads& threads = {});
 
 /// The same estimate with an effect more, at these values, or with one less.
 ExtendedEstimate with_effect(const ExtendedEstimate& estimate, const EffectValues& effect);
