@@ -78,6 +78,22 @@ bool is_harmonic(const EffectValues& values, const Hypothesis& hypothesis) {
   return false;
 }
 
+/// Whether some form of it moves readings by whole rows: one row late, strongly moved readings show nothing
+/// of what the right number brings.
+bool is_delay(const Candidate& candidate) {
+  if (candidate.starts.empty()) return false;
+  const EffectValues& values = candidate.starts.front().values;
+  const auto& parameters = info_of(*candidate.effect).parameters;
+  for (std::size_t i = 0; i < parameters.size(); ++i) {
+    if (parameters[i].role != EffectParameter::Role::Refinement) continue;
+    for (const double choice : parameters[i].starts)
+      if (!delays_of({candidate.effect, chosen_otherwise(*candidate.effect, values.values, i, choice)})
+               .none())
+        return true;
+  }
+  return false;
+}
+
 /// Leaves a further effect of the same name only the starts that it may be named for.
 void keep_harmonics(const Hypothesis& hypothesis, Candidate& candidate) {
   std::erase_if(candidate.starts, [&](const Start& start) { return !is_harmonic(start.values, hypothesis); });
@@ -157,7 +173,8 @@ class Selector {
     for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
       Candidate& candidate = candidates[worth[i]];
       if (!is_itself(candidate) &&
-          candidate.gain > std::min(kWorthRefining * refined, refined - kFarBehind_nats))
+          (is_delay(candidate) ||
+           candidate.gain > std::min(kWorthRefining * refined, refined - kFarBehind_nats)))
         refine(candidate, hypothesis, stuck);
     });
     if (taken_out != nullptr) {
