@@ -233,7 +233,6 @@ TEST(Diagnosis, SaysThatSomethingIsWrongWhereNoCandidateIsTheCause) {
   EXPECT_TRUE(diagnosis.misfit.location);
 }
 
-/// A root of the speed instead of a constant: two effects make up for it, and leave a brake without friction.
 /// A bus that loses a sample now and then, and a station that takes the last value for it.
 TEST(Diagnosis, SaysThatAReadingWasHeld) {
   Sealed set = faultless(1020);
@@ -258,6 +257,7 @@ TEST(Diagnosis, DoesNotTakeAResolutionForReadingsThatWereHeld) {
   EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
 }
 
+/// A root of the speed instead of a constant: two effects make up for it, and leave a brake without friction.
 TEST(Diagnosis, ABrakeWithoutFrictionIsNoExplanation) {
   blind::Request request;
   request.kind = blind::Kind::OffList;
