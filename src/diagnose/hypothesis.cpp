@@ -208,7 +208,9 @@ double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
 }
 
 void weigh(Candidate& candidate, const Hypothesis& hypothesis) {
-  candidate.gain = std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood());
+  candidate.gain = candidate.fitted.possible()
+                       ? std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood())
+                       : 0.0;
   candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
 
@@ -230,13 +232,7 @@ class RoughFits {
       : candidate_(candidate),
         hypothesis_(hypothesis),
         also_afresh_(also_afresh),
-        hopeless_(hypothesis.estimate.log_likelihood - kHopeless_nats * hypothesis.estimate.readings),
-        best_(candidate.fitted) {}
-
-  double gain() const {
-    return best_.possible() ? best_.log_likelihood() - hypothesis_.log_likelihood()
-                            : -std::numeric_limits<double>::infinity();
-  }
+        hopeless_(hypothesis.estimate.log_likelihood - kHopeless_nats * hypothesis.estimate.readings) {}
 
   void from_starts() {
     std::size_t fits = 0;
@@ -248,7 +244,7 @@ class RoughFits {
       if (fits > 0 && !other_shape && gain() > kStuck * candidate_.predicted_gain) break;
       ++fits;
       keep_if_better(fitted_from(start, hypothesis_, hypothesis_.estimate.noise.torque_Nm, kRoughIterations),
-                     best_);
+                     candidate_.fitted);
     }
     if (!candidate_.starts.empty()) afresh(candidate_.starts.front().values);
   }
@@ -256,7 +252,7 @@ class RoughFits {
   /// Other choices of its refinements, from where the best one ended.
   void refine() {
     const auto& parameters = info_of(*candidate_.effect).parameters;
-    for (std::size_t i = 0; i < parameters.size() && best_.possible(); ++i) {
+    for (std::size_t i = 0; i < parameters.size() && candidate_.fitted.possible(); ++i) {
       if (parameters[i].role != Role::Refinement) continue;
       int misses = 0;
       for (std::size_t other = 1; other < parameters[i].starts.size() && misses < kMostMisses; ++other)
@@ -264,19 +260,17 @@ class RoughFits {
     }
   }
 
-  void keep() {
-    candidate_.is_fitted = true;
-    candidate_.gain = std::max(0.0, gain());
-    if (best_.possible()) candidate_.fitted = std::move(best_);
-    candidate_.evidence = evidence_of(candidate_.gain, candidate_.degrees, candidate_.alternatives);
+ private:
+  double gain() const {
+    return candidate_.fitted.possible() ? candidate_.fitted.log_likelihood() - hypothesis_.log_likelihood()
+                                        : -std::numeric_limits<double>::infinity();
   }
 
- private:
   /// Whether this choice is better.
   bool chosen(std::size_t parameter, double choice) {
     const double reached = gain();
     const auto& parameters = info_of(*candidate_.effect).parameters;
-    EffectValues values = best_.estimate.parameters.effects.back();
+    EffectValues values = candidate_.fitted.estimate.parameters.effects.back();
     values.values = chosen_otherwise(*candidate_.effect, values.values, parameter, choice);
     for (std::size_t j = 0; j < parameters.size(); ++j) {
       // From a bound a search hardly gets away.
@@ -285,14 +279,15 @@ class RoughFits {
         values.values[j] = parameters[j].lower + 0.5 * width;
     }
     Hypothesis from = hypothesis_;
-    from.estimate = without_effect(best_.estimate, best_.estimate.parameters.effects.size() - 1);
-    keep_if_better(fitted_from({.values = values}, from, best_.estimate.noise.torque_Nm, kRoughIterations,
-                               Brake::Fitted, hopeless_),
-                   best_);
+    from.estimate =
+        without_effect(candidate_.fitted.estimate, candidate_.fitted.estimate.parameters.effects.size() - 1);
+    keep_if_better(fitted_from({.values = values}, from, candidate_.fitted.estimate.noise.torque_Nm,
+                               kRoughIterations, Brake::Fitted, hopeless_),
+                   candidate_.fitted);
     const bool better = gain() > reached;
     if (better)
-      afresh(best_.estimate.parameters.effects.back());
-    else if (is_brake_impossible(best_) || is_brake_impossible(hypothesis_))
+      afresh(candidate_.fitted.estimate.parameters.effects.back());
+    else if (is_brake_impossible(candidate_.fitted) || is_brake_impossible(hypothesis_))
       afresh(values);
     return better;
   }
@@ -304,28 +299,26 @@ class RoughFits {
                                     Brake::Nominal, hopeless_);
     if (fitted.estimate.log_likelihood < hopeless_) return;
     refit(fitted);
-    keep_if_better(std::move(fitted), best_);
+    keep_if_better(std::move(fitted), candidate_.fitted);
   }
 
   Candidate& candidate_;
   const Hypothesis& hypothesis_;
   bool also_afresh_;
   double hopeless_;
-  Hypothesis best_;
 };
 
 }  // namespace
 
 void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
-  RoughFits fits(candidate, hypothesis, also_afresh);
-  fits.from_starts();
-  fits.keep();
+  RoughFits(candidate, hypothesis, also_afresh).from_starts();
+  candidate.is_fitted = true;
+  weigh(candidate, hypothesis);
 }
 
 void refine(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
-  RoughFits fits(candidate, hypothesis, also_afresh);
-  fits.refine();
-  fits.keep();
+  RoughFits(candidate, hypothesis, also_afresh).refine();
+  weigh(candidate, hypothesis);
 }
 
 void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hypothesis& hypothesis,
@@ -334,7 +327,7 @@ void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hyp
   keep_if_better(
       fitted_from({.values = values}, elsewhere, elsewhere.estimate.noise.torque_Nm, kRoughIterations),
       candidate.fitted);
-  if (candidate.fitted.possible()) weigh(candidate, hypothesis);
+  weigh(candidate, hypothesis);
 }
 
 void finish(Candidate& candidate, const Hypothesis& hypothesis) {

@@ -528,7 +528,7 @@ Residuals examine(const Hypothesis& hypothesis) {
   for (const Held& reading : held) {
     const double surprise = surprise_of_chi_square(reading.found.statistic, reading.found.degrees);
     const double p = p_value_of(surprise, tried);
-    if (reading.found.degrees > 0.0 && p < kHeld)
+    if (p < kHeld)
       residuals.dependences.push_back({std::string(kRepetition), reading.location,
                                        0.5 * (reading.found.statistic - reading.found.degrees), p});
   }

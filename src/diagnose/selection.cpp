@@ -47,6 +47,11 @@ constexpr double kFurtherEffect = 0.1;
 /// Of fewer, the one that would do for two was found first.
 constexpr std::size_t kFewestToSimplify = 3;
 
+/// Not behind the best gain by this share and by nats that decide.
+bool is_within_reach(double gain, double best, double share) {
+  return gain > std::min(share * best, best - kFarBehind_nats);
+}
+
 double rank(const Candidate& candidate) {
   return candidate.is_fitted && candidate.fitted.possible() ? candidate.evidence : -1e9;
 }
@@ -78,8 +83,7 @@ bool is_harmonic(const EffectValues& values, const Hypothesis& hypothesis) {
   return false;
 }
 
-/// Whether some form of it moves readings by whole rows: one row late, strongly moved readings show nothing
-/// of what the right number brings.
+/// Whether some form of it moves readings by whole rows: what one of them brings says nothing of the others.
 bool is_delay(const Candidate& candidate) {
   if (candidate.starts.empty()) return false;
   const EffectValues& values = candidate.starts.front().values;
@@ -169,12 +173,11 @@ class Selector {
         if (candidate.is_fitted) reached = std::max(reached, candidate.gain);
       return reached;
     };
-    const double refined = most();
+    const double first = most();
     for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
       Candidate& candidate = candidates[worth[i]];
       if (!is_itself(candidate) &&
-          (is_delay(candidate) ||
-           candidate.gain > std::min(kWorthRefining * refined, refined - kFarBehind_nats)))
+          (is_delay(candidate) || is_within_reach(candidate.gain, first, kWorthRefining)))
         refine(candidate, hypothesis, stuck);
     });
     if (taken_out != nullptr) {
@@ -202,7 +205,7 @@ class Selector {
     for (std::size_t i = 0; i < candidates.size(); ++i)
       if (candidates[i].is_fitted && !(settled && is_itself(candidates[i])) &&
           candidates[i].evidence > kNearAlarm * alarm(others) &&
-          candidates[i].gain > std::min(kLeading * reached, reached - kFarBehind_nats))
+          is_within_reach(candidates[i].gain, reached, kLeading))
         leading.push_back(i);
     for_each_index(leading.size(), hypothesis.threads,
                    [&](std::size_t i) { finish(candidates[leading[i]], hypothesis); });

@@ -1,7 +1,6 @@
 #include "clampd/identify/extended_fit.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -348,23 +347,17 @@ class ExtendedFit {
     if (!point.allFinite()) return false;
     const ExtendedParameters model = model_at(point);
     const ExtendedBrake brake(model);
-    std::atomic<bool> possible{true};
-    for_each_index(runs_.size(), threads_, [&](std::size_t place) {
+    now_.possible = for_each_index_while(runs_.size(), threads_, [&](std::size_t place) {
       const std::size_t r = longest_first_[place];
-      if (!possible) return;
       const Eigen::VectorXd initial = point.segment(local(r), locals_);
-      if (!linearise(runs_[r], brake, model, unknowns_, initial, variances, gains, now_.runs[r])) {
-        possible = false;
-        return;
-      }
+      if (!linearise(runs_[r], brake, model, unknowns_, initial, variances, gains, now_.runs[r]))
+        return false;
       compute_normal(runs_[r], now_.runs[r]);
       Eigen::MatrixXd& normal = now_.normals[r] = now_.runs[r].normal;
-      if (!normal.allFinite())
-        possible = false;
-      else
-        add_prior(prior_, initial - centres_[r], parameters_, normal);
+      if (!normal.allFinite()) return false;
+      add_prior(prior_, initial - centres_[r], parameters_, normal);
+      return true;
     });
-    now_.possible = possible;
     return now_.possible;
   }
 
@@ -578,11 +571,13 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
     if (estimate.iterations >= options.max_iterations) break;
     if (round > 0 && reached < options.least_log_likelihood) break;
     const bool may_be_hopeless = round == 0 && std::isfinite(options.least_log_likelihood);
-    const Descent descent = minimise(fit, point,
-                                     may_be_hopeless ? std::min(kHopelessIterations, options.max_iterations)
-                                                     : options.max_iterations - estimate.iterations);
+    const int left = options.max_iterations - estimate.iterations;
+    const double begun = fit.squares();
+    const Descent descent =
+        minimise(fit, point, may_be_hopeless ? std::min(kHopelessIterations, left) : left);
     estimate.iterations += std::max(1, descent.iterations);
     if (!descent.possible) break;
+    const bool moved = begun - fit.squares() > minimiser::kToleranceEach * fit.NumParameters();
     double change = 0.0;
     if (options.estimate_noise) {
       const Variances found = fit.estimate_noise(variances, kNoiseIterations);
@@ -590,7 +585,7 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
       variances = found;
     }
     estimate.settled = descent.settled && change < kNoiseTolerance;
-    if (estimate.settled && round > 0 && !descent.moved && change < 0.1 * kNoiseTolerance) break;
+    if (estimate.settled && round > 0 && !moved && change < 0.1 * kNoiseTolerance) break;
   }
   if (!estimate.possible || !fit.renew(best, best_variances)) return estimate;
   estimate.parameters = fit.model_at(best);

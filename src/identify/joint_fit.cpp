@@ -1,7 +1,6 @@
 #include "src/identify/joint_fit.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -123,11 +122,9 @@ void JointFit::weigh() const {
 
 bool JointFit::use_innovations(const Eigen::VectorXd& unknowns, const Variances& variances) {
   const BrakeParameters parameters{theta_of(unknowns), options_.start.fixed};
-  std::atomic<bool> possible{true};
-  for_each_index(runs_.size(), options_.threads, [&](std::size_t r) {
-    if (possible && !extended_kalman_filter(runs_[r], parameters, initial_of(unknowns, r), variances,
-                                            weights_[r], now_.linear[r]))
-      possible = false;
+  const bool possible = for_each_index_while(runs_.size(), options_.threads, [&](std::size_t r) {
+    return extended_kalman_filter(runs_[r], parameters, initial_of(unknowns, r), variances, weights_[r],
+                                  now_.linear[r]);
   });
   if (!possible) return false;
   for (std::size_t r = 0; r < runs_.size(); ++r) before_.linear[r].gains = now_.linear[r].gains;
@@ -176,13 +173,10 @@ bool JointFit::evaluate(const double* unknowns) const {
   const BrakeParameters parameters{theta_of(now_.unknowns), options_.start.fixed};
   if (!within_bounds(parameters.theta)) return false;
   now_.normalised = parameters.theta.cwiseQuotient(nominal_parameters());
-  std::atomic<bool> possible{true};
-  for_each_index(runs_.size(), options_.threads, [&](std::size_t r) {
-    if (!possible) return;
+  const bool possible = for_each_index_while(runs_.size(), options_.threads, [&](std::size_t r) {
     const Eigen::Vector2d initial = initial_of(now_.unknowns, r);
-    if (!(innovations_ ? linearise_with_gains(runs_[r], parameters, initial, now_.linear[r])
-                       : linearise(runs_[r], parameters, initial, now_.linear[r])))
-      possible = false;
+    return innovations_ ? linearise_with_gains(runs_[r], parameters, initial, now_.linear[r])
+                        : linearise(runs_[r], parameters, initial, now_.linear[r]);
   });
   if (!possible) return false;
   weigh();

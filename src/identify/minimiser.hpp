@@ -55,7 +55,6 @@ struct Descent {
   bool possible = false;  ///< the fit can be evaluated at the unknowns reached
   bool settled = false;   ///< nothing more to gain
   bool at_kink = false;   ///< though the slopes there promise more
-  bool moved = false;     ///< the cost is less than at the beginning by more than the tolerance
   int iterations = 0;
 };
 
@@ -82,7 +81,6 @@ Descent MinimiserOf<Fit>::descend(Fit& fit, Eigen::VectorXd& unknowns, int max_i
   const double tolerance = minimiser::kToleranceEach * fit.NumParameters();
   Descent descent;
   descent.possible = fit.evaluate(unknowns);
-  const double begun = descent.possible ? fit.squares() : 0.0;
   bool stalled = false;
   bool has_stalled = false;
   while (descent.possible && descent.iterations < max_iterations) {
@@ -110,7 +108,6 @@ Descent MinimiserOf<Fit>::descend(Fit& fit, Eigen::VectorXd& unknowns, int max_i
       break;
     }
   }
-  descent.moved = descent.possible && begun - fit.squares() > tolerance;
   return descent;
 }
 

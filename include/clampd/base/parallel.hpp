@@ -72,7 +72,17 @@ void for_each_index(std::size_t count, const SpareThreads& threads, const Work& 
   threads.await();
 }
 
-/// The same on up to `threads` threads, the caller's one among them.
+/// The same until work(i) returns false; whether none did.
+template <class Work>
+bool for_each_index_while(std::size_t count, const SpareThreads& threads, const Work& work) {
+  std::atomic<bool> all{true};
+  for_each_index(count, threads, [&](std::size_t i) {
+    if (all && !work(i)) all = false;
+  });
+  return all;
+}
+
+/// for_each_index() on up to `threads` threads, the caller's one among them.
 template <class Work>
 void for_each_index(std::size_t count, int threads, const Work& work) {
   for_each_index(count, SpareThreads(threads), work);
