@@ -89,6 +89,17 @@ std::vector<std::size_t> effects_detail::chain_of(const std::vector<EffectValues
   return chain;
 }
 
+bool is_neutral(const EffectValues& values) {
+  const auto& parameters = values.effect->info().parameters;
+  bool has_strength = false;
+  for (std::size_t i = 0; i < parameters.size(); ++i) {
+    if (parameters[i].role != EffectParameter::Role::Strength) continue;
+    if (values.values[i] != parameters[i].neutral) return false;
+    has_strength = true;
+  }
+  return has_strength;
+}
+
 EffectDelays delays_of(const EffectValues& values) {
   return values.effect->delays(values.values);
 }

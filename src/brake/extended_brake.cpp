@@ -18,7 +18,8 @@ struct ExtendedBrake::Numbers {
       : plain(parameters) {
     const int directions = states + static_cast<int>(places.size()) + 1;
     for (int first = 0; first < directions; first += kWidth) {
-      ExtendedEquations<Jet>& chunk = chunks.emplace_back(parameters);
+      ExtendedEquations<Jet>& chunk =
+          chunks.emplace_back(parameters, of_no_account(parameters, states, places, first));
       for (std::size_t i = 0; i < places.size(); ++i)
         seed(chunk.number(places[i]), states + static_cast<int>(i), first);
     }
@@ -26,6 +27,21 @@ struct ExtendedBrake::Numbers {
 
   static void seed(Jet& number, int direction, int first) {
     if (direction >= first && direction < first + kWidth) number.v[direction - first] = 1.0;
+  }
+
+  /// Effects that nothing in a chunk of directions depends on: neutral ones without states whose parameters
+  /// are not among them.
+  static std::vector<bool> of_no_account(const ExtendedParameters& parameters, int states,
+                                         std::span<const Place> places, int first) {
+    std::vector<bool> effects;
+    for (const EffectValues& values : parameters.effects)
+      effects.push_back(info_of(*values.effect).states == 0 && is_neutral(values));
+    for (std::size_t i = 0; i < places.size(); ++i) {
+      const int direction = states + static_cast<int>(i);
+      if (places[i].effect >= 0 && direction >= first && direction < first + kWidth)
+        effects[static_cast<std::size_t>(places[i].effect)] = false;
+    }
+    return effects;
   }
 
   const ExtendedEquations<double> plain;

@@ -22,7 +22,9 @@ class ExtendedEquations {
   static constexpr int kMostOwn = ExtendedBrake::kMostParameters;
   using Stage = effects_detail::Stage;
 
-  explicit ExtendedEquations(const ExtendedParameters& parameters) : fixed_(parameters.base.fixed) {
+  /// Effects (by their place in the model) that are `left_out` are so of all equations.
+  explicit ExtendedEquations(const ExtendedParameters& parameters, const std::vector<bool>& left_out = {})
+      : fixed_(parameters.base.fixed) {
     for (std::size_t i = 0; i < kParameterCount; ++i)
       theta_[i] = T(parameters.base.theta[static_cast<Eigen::Index>(i)]);
     int own = 0;
@@ -32,9 +34,11 @@ class ExtendedEquations {
       states_ += values.effect->info().states;
       is_stiff_ = is_stiff_ || values.effect->is_stiff();
     }
-    for (const std::size_t part : effects_detail::chain_of(parameters.effects))
+    for (const std::size_t part : effects_detail::chain_of(parameters.effects)) {
+      if (!left_out.empty() && left_out[part]) continue;
       for (std::size_t stage = 0; stage < effects_detail::kStages; ++stage)
         if (parts_[part].effect->acts_on(static_cast<Stage>(stage))) chains_[stage].push_back(parts_[part]);
+    }
   }
 
   T& number(const ExtendedBrake::Place& place) {
@@ -79,17 +83,17 @@ class ExtendedEquations {
                                          row.later_torque_Nm + error, row.gap_s};
     const int substeps = is_stiff_ ? values.substeps(plain(states).data(), row.torque_Nm, row) : 1;
     T next[ExtendedBrake::kMostStates];
-    std::copy(states, states + ExtendedBrake::kMostStates, next);
+    std::copy(states, states + states_, next);
     undo_reading(input, states, next);
     if (chain(Stage::Filter).empty()) {
-      std::copy(next + 2, next + ExtendedBrake::kMostStates, states + 2);
+      std::copy(next + 2, next + states_, states + 2);
       move(states, input, row, substeps, values);
       return;
     }
     const T force_before = force_at(states, row);
     T midway[ExtendedBrake::kMostStates];
-    std::copy(next, next + ExtendedBrake::kMostStates, midway);
-    std::copy(next, next + ExtendedBrake::kMostStates, states);
+    std::copy(next, next + states_, midway);
+    std::copy(next, next + states_, states);
     const T until_reversal = move(states, input, row, substeps, values);
     const T force_after = force_at(states, row);
     const T velocity_before = midway[1];
@@ -103,34 +107,36 @@ class ExtendedEquations {
       transit.until_reversal_s = until_reversal;
       transit.since_reversal_s = row.gap_s - until_reversal;
     }
-    std::copy(states, states + ExtendedBrake::kMostStates, next);
+    std::copy(states, states + states_, next);
     each(chain(Stage::Filter), states,
          [&](const auto& effect, const auto& own, int at) { effect.on_filter(transit, own, next + at); });
-    std::copy(next, next + ExtendedBrake::kMostStates, states);
+    std::copy(next, next + states_, states);
   }
 
   struct Reached {
     T position, velocity;
   };
+  /// A length without derivatives is a plain number.
+  template <class Length>
   Reached runge_kutta(const T* states, const T& torque, const RowInput& row, double direction,
-                      const T& length) const {
+                      const Length& length) const {
     effects_detail::Instant<T> now = start_of(row, direction);
     now.step_s = effects_detail::value_of(length);
     const T& p0 = states[0];
     const T& v0 = states[1];
-    const T half = 0.5 * length;
-    const T sixth = length / 6.0;
+    const Length half = 0.5 * length;
+    const Length sixth = length / 6.0;
     const auto acceleration = [&](const T& position, const T& velocity, const T& elapsed) {
       complete(now, position, velocity, position - p0, elapsed, torque, states);
       return acceleration_of(now);
     };
     const T a0 = acceleration(p0, v0, T(0.0));
     const T v1 = v0 + half * a0;
-    const T a1 = acceleration(p0 + half * v0, v1, half);
+    const T a1 = acceleration(p0 + half * v0, v1, T(half));
     const T v2 = v0 + half * a1;
-    const T a2 = acceleration(p0 + half * v1, v2, half);
+    const T a2 = acceleration(p0 + half * v1, v2, T(half));
     const T v3 = v0 + length * a2;
-    const T a3 = acceleration(p0 + length * v2, v3, length);
+    const T a3 = acceleration(p0 + length * v2, v3, T(length));
     return {p0 + sixth * (v0 + 2.0 * (v1 + v2) + v3), v0 + sixth * (a0 + 2.0 * (a1 + a2) + a3)};
   }
 
@@ -233,9 +239,9 @@ class ExtendedEquations {
          [&](const auto& effect, const auto& own, int) { effect.on_force(now, own); });
   }
 
-  /// Everything.
-  void complete(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
-                const T& elapsed, const T& torque, const T* states) const {
+  /// Then the friction level.
+  void rub(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
+           const T& elapsed, const T* states) const {
     press(now, position, velocity, travel, elapsed, states);
     now.coulomb_Nm = theta_[TC];
     now.static_Nm = theta_[Ts0] + theta_[mus] * now.force_N;
@@ -246,6 +252,12 @@ class ExtendedEquations {
          [&](const auto& effect, const auto& own, int) { effect.on_friction(now, own); });
     const T speed = velocity / theta_[ws];
     now.level_Nm = now.coulomb_Nm + (now.static_Nm - now.coulomb_Nm) / (1.0 + speed * speed);
+  }
+
+  /// Everything.
+  void complete(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
+                const T& elapsed, const T& torque, const T* states) const {
+    rub(now, position, velocity, travel, elapsed, states);
     now.torque_Nm = torque;
     now.ratio_m_rad = T(fixed_.ratio_m_rad);
     now.inertia_kg_m2 = T(fixed_.inertia_kg_m2);
@@ -277,7 +289,7 @@ class ExtendedEquations {
     return 0.0;
   }
 
-  void finish(T* states, const Reached& reached, const T& elapsed, const T& torque, const RowInput& row,
+  void finish(T* states, const Reached& reached, const T& elapsed, const RowInput& row,
               double direction) const {
     if (!has_own_states()) {
       states[0] = reached.position;
@@ -285,12 +297,12 @@ class ExtendedEquations {
       return;
     }
     effects_detail::Instant<T> end = start_of(row, direction);
-    complete(end, reached.position, reached.velocity, reached.position - states[0], elapsed, torque, states);
+    rub(end, reached.position, reached.velocity, reached.position - states[0], elapsed, states);
     T next[ExtendedBrake::kMostStates];
-    std::copy(states, states + ExtendedBrake::kMostStates, next);
+    std::copy(states, states + states_, next);
     each(chain(Stage::Remember), states,
          [&](const auto& effect, const auto& own, int at) { effect.on_remember(end, own, next + at); });
-    std::copy(next + 2, next + ExtendedBrake::kMostStates, states + 2);
+    std::copy(next + 2, next + states_, states + 2);
     states[0] = reached.position;
     states[1] = reached.velocity;
   }
@@ -300,8 +312,7 @@ class ExtendedEquations {
          const ExtendedEquations<double>& values) const {
     T reversal(0.0);
     const auto stretch = [&](const T& torque, double begin_s, double length_s) {
-      const int steps =
-          std::max(1, static_cast<int>(std::ceil(substeps * length_s / kLargestStep_s - 1e-6)));
+      const int steps = std::max(1, static_cast<int>(std::ceil(substeps * length_s / kLargestStep_s - 1e-6)));
       for (int i = 0; i < steps; ++i) {
         const T within = step(states, torque, row, length_s / steps, values);
         if (within > 0.0) reversal = begin_s + i * (length_s / steps) + within;
@@ -323,13 +334,14 @@ class ExtendedEquations {
           velocity != 0.0 ? std::copysign(1.0, velocity) : breakaway(states, torque, row);
       if (direction == 0.0) {
         // An infinitesimal velocity dies within an infinitesimal time.
-        finish(states, {states[0], T(0.0)}, left, torque, row, 1.0);
+        finish(states, {states[0], T(0.0)}, left, row, 1.0);
         return reversal;
       }
-      const Reached reached = runge_kutta(states, torque, row, direction, left);
+      const Reached reached = crossing == 0 ? runge_kutta(states, torque, row, direction, length)
+                                            : runge_kutta(states, torque, row, direction, left);
       const double end_velocity = effects_detail::value_of(reached.velocity);
       if (!(direction * end_velocity < 0.0)) {
-        finish(states, reached, left, torque, row, direction);
+        finish(states, reached, left, row, direction);
         return reversal;
       }
       T time(values.crossing_time(plain(states).data(), effects_detail::value_of(torque), row, direction,
@@ -343,7 +355,7 @@ class ExtendedEquations {
       }
       Reached stop = runge_kutta(states, torque, row, direction, time);
       stop.velocity = T(0.0);
-      finish(states, stop, time, torque, row, direction);
+      finish(states, stop, time, row, direction);
       left -= time;
       reversal = length - left;
       if (!(left > 0.0)) break;

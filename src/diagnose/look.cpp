@@ -177,18 +177,6 @@ struct Look {
   StepForecast seen;
 };
 
-/// Whether an effect with these values is there in name only.
-bool is_neutral(const EffectValues& values) {
-  const auto& parameters = info_of(*values.effect).parameters;
-  bool has_strength = false;
-  for (std::size_t i = 0; i < parameters.size(); ++i) {
-    if (parameters[i].role != Role::Strength) continue;
-    if (values.values[i] != parameters[i].neutral) return false;
-    has_strength = true;
-  }
-  return has_strength;
-}
-
 /// Whether it changes nothing as long as its free states, if it has such, are settled.
 bool is_silent(const EffectValues& values) {
   const auto& parameters = info_of(*values.effect).parameters;

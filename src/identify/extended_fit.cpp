@@ -550,18 +550,18 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
   Variances variances = variances_of(start.noise);
   if (options.estimate_noise)
     variances.torque = std::max(variances.torque, 4.0 * kSmallestTorque_Nm * kSmallestTorque_Nm);
-  double reached = -std::numeric_limits<double>::infinity();
-  Eigen::VectorXd best = point;
-  Variances best_variances = variances;
   for (int round = 0; round < kMostRounds; ++round) {
     if (!fit.renew(point, variances)) break;
     const double likelihood = fit.log_likelihood();
-    if (likelihood > reached) {
-      const double gained = likelihood - reached;
-      reached = likelihood;
-      best = point;
-      best_variances = variances;
+    if (likelihood > estimate.log_likelihood) {
+      const double gained = likelihood - estimate.log_likelihood;
       estimate.possible = true;
+      estimate.parameters = fit.model_at(point);
+      estimate.initial_states = fit.initial_at(point);
+      estimate.noise = levels_of(variances);
+      estimate.log_likelihood = likelihood;
+      estimate.readings = fit.readings();
+      estimate.covariance = covariance_of(fit, estimate.parameters);
       if (round > 1 && gained < 0.02 && estimate.settled) break;
     } else if (round > 2) {
       // Kinks of the filter can make gains and parameters answer each other for ever.
@@ -569,7 +569,7 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
       break;
     }
     if (estimate.iterations >= options.max_iterations) break;
-    if (round > 0 && reached < options.least_log_likelihood) break;
+    if (round > 0 && estimate.log_likelihood < options.least_log_likelihood) break;
     const bool may_be_hopeless = round == 0 && std::isfinite(options.least_log_likelihood);
     const int left = options.max_iterations - estimate.iterations;
     const double begun = fit.squares();
@@ -587,13 +587,6 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
     estimate.settled = descent.settled && change < kNoiseTolerance;
     if (estimate.settled && round > 0 && !moved && change < 0.1 * kNoiseTolerance) break;
   }
-  if (!estimate.possible || !fit.renew(best, best_variances)) return estimate;
-  estimate.parameters = fit.model_at(best);
-  estimate.initial_states = fit.initial_at(best);
-  estimate.noise = levels_of(best_variances);
-  estimate.log_likelihood = fit.log_likelihood();
-  estimate.readings = fit.readings();
-  estimate.covariance = covariance_of(fit, estimate.parameters);
   return estimate;
 }
 

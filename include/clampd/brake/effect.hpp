@@ -85,6 +85,9 @@ struct EffectValues {
   std::vector<double> values;
 };
 
+/// Whether an effect with these values is there in name only: its strengths, and it has some, are neutral.
+bool is_neutral(const EffectValues& values);
+
 /// How many whole samples late the readings are that an effect describes: the data are then moved instead of
 /// the model.
 struct EffectDelays {
