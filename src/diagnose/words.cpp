@@ -9,10 +9,13 @@ namespace clampd::diagnosing {
 
 namespace {
 
-/// Values with a size that people can read: seconds as milliseconds, shares as per cent.
+/// Values with a size that people can read: seconds as milliseconds, shares as per cent, small angles as
+/// milliradians.
 std::string size_of(const EstimatedParameter& parameter) {
   if (parameter.unit == "s") return fmt::format("{:.2g} ms", 1e3 * parameter.value);
   if (parameter.unit == "1") return fmt::format("{:.2g} %", 100.0 * parameter.value);
+  if (parameter.unit == "rad" && std::abs(parameter.value) < 0.01)
+    return fmt::format("{:.3g} mrad", 1e3 * parameter.value);
   return fmt::format("{:.3g} {}", parameter.value, parameter.unit);
 }
 

@@ -186,8 +186,10 @@ bool has_rivals(const Diagnosis& diagnosis, const std::string& effect) {
 
 std::string headline(const Diagnosis& diagnosis) {
   std::vector<std::string> causes;
-  for (const NamedEffect& effect : diagnosis.effects)
-    if (!has_rivals(diagnosis, effect.name)) causes.push_back(effect.name);
+  for (const NamedEffect& effect : diagnosis.effects) {
+    const bool is_said = std::find(causes.begin(), causes.end(), effect.name) != causes.end();  // a harmonic
+    if (!is_said && !has_rivals(diagnosis, effect.name)) causes.push_back(effect.name);
+  }
   switch (diagnosis.verdict) {
     case DiagnosisVerdict::Adequate:
       return "the model explains the runs";
