@@ -33,11 +33,12 @@ function(clampd_room NAME)
   add_library(clampd::${NAME} ALIAS ${TARGET})
 endfunction()
 
-# clampd_test(NAME [THREADS] SOURCES file... DEPENDS target... [LABELS label...] [TIMEOUT seconds])
-# One GoogleTest program; each of its tests is a CTest test of its own. Sanitized builds leave out the slow ones, which test
-# figures, not memory, and ThreadSanitizer's those that do not say THREADS: without a second thread it has nothing to find.
+# clampd_test(NAME [THREADS pattern] SOURCES file... DEPENDS target... [LABELS label...] [TIMEOUT seconds])
+# One GoogleTest program; each of its tests is a CTest test of its own. THREADS names those that run more than one thread, as
+# GoogleTest's --gtest_filter does: they are what ThreadSanitizer is built for, which has nothing to find in the others.
+# The other sanitizers' builds leave out the slow ones, which test figures, not memory.
 function(clampd_test NAME)
-  cmake_parse_arguments(TEST "THREADS" "TIMEOUT" "SOURCES;DEPENDS;LABELS" ${ARGN})
+  cmake_parse_arguments(TEST "" "THREADS;TIMEOUT" "SOURCES;DEPENDS;LABELS" ${ARGN})
   if(NOT TEST_TIMEOUT)
     set(TEST_TIMEOUT 300)
   endif()
@@ -45,10 +46,16 @@ function(clampd_test NAME)
   target_include_directories(test_${NAME} PRIVATE ${CMAKE_SOURCE_DIR}/tests)
   target_link_libraries(test_${NAME} PRIVATE ${TEST_DEPENDS} GTest::gtest_main GTest::gmock)
   target_compile_definitions(test_${NAME} PRIVATE CLAMPD_SOURCE_DIR="${CMAKE_SOURCE_DIR}" CLAMPD_BINARY_DIR="${CMAKE_BINARY_DIR}")
-  if((CLAMPD_SANITIZE AND "slow" IN_LIST TEST_LABELS) OR (CLAMPD_SANITIZE STREQUAL "thread" AND NOT TEST_THREADS))
+  set(PATTERN "*")
+  if(CLAMPD_SANITIZE STREQUAL "thread")
+    set(PATTERN "${TEST_THREADS}")
+  elseif(CLAMPD_SANITIZE AND "slow" IN_LIST TEST_LABELS)
+    set(PATTERN "")
+  endif()
+  if(NOT PATTERN)
     set_target_properties(test_${NAME} PROPERTIES EXCLUDE_FROM_ALL ON)
     return()
   endif()
-  gtest_discover_tests(test_${NAME} DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60
+  gtest_discover_tests(test_${NAME} DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60 TEST_FILTER "${PATTERN}"
     PROPERTIES TIMEOUT ${TEST_TIMEOUT} LABELS "${TEST_LABELS}")
 endfunction()

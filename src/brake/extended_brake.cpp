@@ -19,28 +19,30 @@ struct ExtendedBrake::Numbers {
     const int directions = states + static_cast<int>(places.size()) + 1;
     for (int first = 0; first < directions; first += kWidth) {
       ExtendedEquations<Jet>& chunk =
-          chunks.emplace_back(parameters, of_no_account(parameters, states, places, first));
+          chunks.emplace_back(parameters, left_out(parameters, states, places, first));
       for (std::size_t i = 0; i < places.size(); ++i)
         seed(chunk.number(places[i]), states + static_cast<int>(i), first);
     }
   }
 
-  static void seed(Jet& number, int direction, int first) {
-    if (direction >= first && direction < first + kWidth) number.v[direction - first] = 1.0;
+  static bool is_in_chunk(int direction, int first) {
+    return direction >= first && direction < first + kWidth;
   }
 
-  /// Effects that nothing in a chunk of directions depends on: neutral ones without states whose parameters
+  static void seed(Jet& number, int direction, int first) {
+    if (is_in_chunk(direction, first)) number.v[direction - first] = 1.0;
+  }
+
+  /// Effects on which nothing in a chunk of directions depends: neutral ones without states whose parameters
   /// are not among them.
-  static std::vector<bool> of_no_account(const ExtendedParameters& parameters, int states,
-                                         std::span<const Place> places, int first) {
+  static std::vector<bool> left_out(const ExtendedParameters& parameters, int states,
+                                    std::span<const Place> places, int first) {
     std::vector<bool> effects;
     for (const EffectValues& values : parameters.effects)
       effects.push_back(info_of(*values.effect).states == 0 && is_neutral(values));
-    for (std::size_t i = 0; i < places.size(); ++i) {
-      const int direction = states + static_cast<int>(i);
-      if (places[i].effect >= 0 && direction >= first && direction < first + kWidth)
+    for (std::size_t i = 0; i < places.size(); ++i)
+      if (places[i].effect >= 0 && is_in_chunk(states + static_cast<int>(i), first))
         effects[static_cast<std::size_t>(places[i].effect)] = false;
-    }
     return effects;
   }
 
