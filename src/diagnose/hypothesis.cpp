@@ -33,6 +33,8 @@ constexpr double kStuck_nats = 30.0;
 constexpr double kNearBound = 5.0;
 /// A rough fit from elsewhere that is so much worse, per reading, will not come back.
 constexpr double kHopeless_nats = 0.1;
+/// Beside a better one a fit that ends so far behind it counts for nothing.
+constexpr double kBehind_nats = 20.0;
 /// No drive's torque is as noisy as this.
 constexpr double kImpossibleTorque_Nm = 0.05;
 constexpr std::size_t kMostFits = 4;
@@ -40,6 +42,9 @@ constexpr std::size_t kMostFits = 4;
 constexpr int kMostMisses = 3;
 /// Enough to see whether a candidate is among the best; those are then fitted to the end.
 constexpr int kRoughIterations = 14;
+/// A model that lacks an effect is near enough to its end where a step promises this share of what the effect
+/// is worth.
+constexpr double kNearEnough = 0.03;
 
 /// A second period beside one that promises this share of what the first has brought may be the true one.
 constexpr double kStandsOut = 0.1;
@@ -102,7 +107,7 @@ void follow(const Start& start, Hypothesis& extended) {
   }
 }
 
-/// `least`: see ExtendedFitOptions.
+/// `least`: as of ExtendedFitOptions, with the readings that the effect's delays make unusable.
 Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double torque_noise_Nm,
                        int max_iterations, Brake brake = Brake::Fitted,
                        double least = ExtendedFitOptions{}.least_log_likelihood) {
@@ -113,7 +118,8 @@ Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double 
   if (start.step.size() > 0) follow(start, extended);
   extended.estimate.noise.torque_Nm = torque_noise_Nm;
   if (brake == Brake::Nominal) extended.estimate.parameters.base.theta = nominal_parameters();
-  refit(extended, max_iterations, least);
+  refit(extended, max_iterations,
+        least - extended.unused_log_likelihood - likelihood_of_unusable(delays, extended));
   extended.unused_log_likelihood += likelihood_of_unusable(delays, extended);
   extended.degrees += degrees_of(*start.values.effect, extended.runs.size());
   return extended;
@@ -141,7 +147,8 @@ double promise_of(const Hypothesis& hypothesis) {
   return step.after_step - step.log_likelihood;
 }
 
-/// With this effect's choices of these roles made otherwise, one at a time.
+/// With this effect's choices of these roles made otherwise, one at a time; those far behind are not fitted
+/// to the end.
 void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std::initializer_list<Role> roles,
                           std::vector<Hypothesis>& list) {
   const EffectValues& values = hypothesis.estimate.parameters.effects[effect];
@@ -154,7 +161,7 @@ void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std:
       EffectValues& chosen = other.estimate.parameters.effects[effect];
       chosen.values = chosen_otherwise(*values.effect, values.values, i, choice);
       if (choice == values.values[i] || !delays_of(chosen).none()) continue;
-      refit(other, kRoughIterations);
+      refit(other, kRoughIterations, hypothesis.estimate.log_likelihood - kBehind_nats);
       if (other.possible()) list.push_back(std::move(other));
     }
   }
@@ -232,7 +239,7 @@ class RoughFits {
       : candidate_(candidate),
         hypothesis_(hypothesis),
         also_afresh_(also_afresh),
-        hopeless_(hypothesis.estimate.log_likelihood - kHopeless_nats * hypothesis.estimate.readings) {}
+        hopeless_(hypothesis.log_likelihood() - kHopeless_nats * hypothesis.estimate.readings) {}
 
   void from_starts() {
     std::size_t fits = 0;
@@ -243,7 +250,8 @@ class RoughFits {
       const bool other_shape = info_of(*candidate_.effect).parameters.size() > 1;
       if (fits > 0 && !other_shape && gain() > kStuck * candidate_.predicted_gain) break;
       ++fits;
-      keep_if_better(fitted_from(start, hypothesis_, hypothesis_.estimate.noise.torque_Nm, kRoughIterations),
+      keep_if_better(fitted_from(start, hypothesis_, hypothesis_.estimate.noise.torque_Nm, kRoughIterations,
+                                 Brake::Fitted, wanted()),
                      candidate_.fitted);
     }
     if (!candidate_.starts.empty()) afresh(candidate_.starts.front().values);
@@ -266,6 +274,13 @@ class RoughFits {
                                         : -std::numeric_limits<double>::infinity();
   }
 
+  /// Of a further fit that is to count for something.
+  double wanted() const {
+    constexpr double kAny = -std::numeric_limits<double>::infinity();
+    if (!candidate_.fitted.possible()) return kAny;
+    return std::max(hopeless_, candidate_.fitted.log_likelihood() - kBehind_nats);
+  }
+
   /// Whether this choice is better.
   bool chosen(std::size_t parameter, double choice) {
     const double reached = gain();
@@ -282,7 +297,7 @@ class RoughFits {
     from.estimate =
         without_effect(candidate_.fitted.estimate, candidate_.fitted.estimate.parameters.effects.size() - 1);
     keep_if_better(fitted_from({.values = values}, from, candidate_.fitted.estimate.noise.torque_Nm,
-                               kRoughIterations, Brake::Fitted, hopeless_),
+                               kRoughIterations, Brake::Fitted, wanted()),
                    candidate_.fitted);
     const bool better = gain() > reached;
     if (better)
@@ -297,7 +312,7 @@ class RoughFits {
     if (!also_afresh_) return;
     Hypothesis fitted = fitted_from({.values = values}, hypothesis_, kModestTorque_Nm, kRoughIterations,
                                     Brake::Nominal, hopeless_);
-    if (fitted.estimate.log_likelihood < hopeless_) return;
+    if (fitted.log_likelihood() < hopeless_) return;
     refit(fitted);
     keep_if_better(std::move(fitted), candidate_.fitted);
   }
@@ -421,6 +436,15 @@ void settle(Hypothesis& hypothesis) {
 
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded) {
   Hypothesis reduced = taken_out(hypothesis, effect, recorded);
+  const auto near_enough = [&] {
+    return std::min(kNearEnough * (hypothesis.log_likelihood() - reduced.log_likelihood()), kStuck_nats);
+  };
+  refit(reduced, kRoughIterations);
+  for (int more = 1; more < kMostMisses && reduced.possible() && near_enough() > kNotEnded_nats; ++more) {
+    if (is_torque_impossible(reduced) || is_brake_impossible(reduced)) break;
+    if (promise_of(reduced) < near_enough()) return reduced;
+    refit(reduced, kRoughIterations);
+  }
   settle(reduced);
   return reduced;
 }

@@ -86,12 +86,13 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis);
 /// Fits it to the end, if it is not there.
 void settle(Hypothesis& hypothesis);
 
-/// Fits the hypothesis anew with its effects as they are. `least`: the log-likelihood below which it is given
-/// up after a first descent.
+/// Fits the hypothesis anew with its effects as they are. `least`: the log-likelihood that it is to get near
+/// to, or else be given up.
 void refit(Hypothesis& hypothesis, int max_iterations = ExtendedFitOptions{}.max_iterations,
            double least = ExtendedFitOptions{}.least_log_likelihood);
 
-/// The hypothesis without one of its effects, or without any, fitted.
+/// The hypothesis without one of its effects, or without any, fitted: without one as near to the end as tells
+/// what the effect is worth.
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded);
 Hypothesis without_any(const Hypothesis& hypothesis, std::span<const Run> recorded);
 

@@ -27,8 +27,10 @@ constexpr double kNoiseTolerance = 0.01;
 constexpr double kNegligibleTorque = 1e-7;  // a variance
 constexpr int kMostRounds = 12;
 constexpr int kNoiseIterations = 6;
-/// After so many it is seen whether a fit is hopeless.
+/// After so many it is seen whether a fit is hopeless: further from where it is wanted than so many steps as
+/// the next one would take it.
 constexpr int kHopelessIterations = 6;
+constexpr double kHopelessSteps = 4.0;
 
 /// Below this much torque noise (N m) nothing changes any more.
 constexpr double kSmallestTorque_Nm = 2e-5;
@@ -569,12 +571,15 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
       break;
     }
     if (estimate.iterations >= options.max_iterations) break;
-    if (round > 0 && estimate.log_likelihood < options.least_log_likelihood) break;
-    const bool may_be_hopeless = round == 0 && std::isfinite(options.least_log_likelihood);
+    const bool may_be_hopeless = std::isfinite(options.least_log_likelihood);
+    if (may_be_hopeless && round > 0 &&
+        estimate.log_likelihood + kHopelessSteps * 0.5 * fit.expected_decrease() <
+            options.least_log_likelihood)
+      break;
     const int left = options.max_iterations - estimate.iterations;
     const double begun = fit.squares();
     const Descent descent =
-        minimise(fit, point, may_be_hopeless ? std::min(kHopelessIterations, left) : left);
+        minimise(fit, point, may_be_hopeless && round == 0 ? std::min(kHopelessIterations, left) : left);
     estimate.iterations += std::max(1, descent.iterations);
     if (!descent.possible) break;
     const bool moved = begun - fit.squares() > minimiser::kToleranceEach * fit.NumParameters();

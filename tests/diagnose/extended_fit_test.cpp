@@ -68,6 +68,26 @@ TEST(ExtendedFit, AStepForecastsWhatTheFitBrings) {
   EXPECT_NEAR((seen.after_step - seen.log_likelihood) / gain, 1.0, 0.3);
 }
 
+TEST(ExtendedFit, IsGivenUpWhereItWillNotGetToWhatIsWanted) {
+  const std::vector<clampd::Run> runs = runs_of("", 31, 6);
+  const std::vector<FitRun> fitted = fit_runs(runs);
+  ExtendedEstimate start = fit_base(runs, BrakeParameters{});
+  ASSERT_TRUE(start.possible);
+  for (const auto parameter : {k1, TC, Tv, ws}) start.parameters.base.theta[parameter] *= 2.0;
+  start.noise.torque_Nm *= 3.0;
+  const ExtendedEstimate free = fit_extended(fitted, start);
+  ASSERT_TRUE(free.settled);
+  ExtendedFitOptions options;
+  options.least_log_likelihood = free.log_likelihood - 1.0;
+  const ExtendedEstimate reached = fit_extended(fitted, start, options);
+  EXPECT_NEAR(reached.log_likelihood, free.log_likelihood, 0.5);
+  options.least_log_likelihood = free.log_likelihood + 100.0;
+  const ExtendedEstimate given_up = fit_extended(fitted, start, options);
+  EXPECT_TRUE(given_up.possible);
+  EXPECT_FALSE(given_up.settled);
+  EXPECT_LT(given_up.iterations, reached.iterations);
+}
+
 /// Readings of force that come early ask for a lag below zero, and the brake's own parameters for the rest.
 TEST(ExtendedFit, AParameterAtItsBoundDoesNotStopTheOthers) {
   std::vector<clampd::Run> runs = runs_of("", 31, 6);

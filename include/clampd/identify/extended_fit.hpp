@@ -60,7 +60,7 @@ struct ExtendedFitOptions {
   bool estimate_noise = true;
   bool hold_parameters = false;  ///< the runs' initial states are all that moves
   std::array<bool, kParameterCount> held{};
-  /// Given up where the first descent ends below this log-likelihood.
+  /// Given up where, after the first descent, this is more than a few times what a step promises away.
   double least_log_likelihood = -std::numeric_limits<double>::infinity();
   SpareThreads threads;  ///< for runs beside each other; the result is the same
 };
