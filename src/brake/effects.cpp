@@ -2,6 +2,8 @@
 #include <array>
 #include <numeric>
 
+#include <fmt/format.h>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -66,6 +68,18 @@ const Effect* find_effect(std::string_view name) {
 
 const EffectInfo& info_of(const Effect& effect) {
   return effect.info();
+}
+
+std::string_view choice_of(const EffectParameter& parameter, double value) noexcept {
+  if (!(value >= 1.0 && value < static_cast<double>(parameter.choices.size()) + 1.0)) return {};
+  return parameter.choices[static_cast<std::size_t>(value) - 1];
+}
+
+std::string in_words(const EffectParameter& parameter) {
+  std::string words(parameter.description);
+  for (std::size_t i = 0; i < parameter.choices.size(); ++i)
+    words += fmt::format("{} {} {}", i == 0 ? ":" : ";", i + 1, parameter.choices[i]);
+  return words;
 }
 
 std::vector<double> starts_of(const Effect& effect, std::size_t parameter, std::span<const Run> runs) {

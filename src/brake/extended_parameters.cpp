@@ -41,7 +41,7 @@ Result<EffectValues> read_effect(const std::string& path, const toml::table& tab
     }
     if (node == nullptr)
       return failure(fmt::format("{}: effect {} lacks its parameter {} ({})", at(path, table), *name,
-                                 parameter.name, parameter.description));
+                                 parameter.name, in_words(parameter)));
     const auto value = node->value<double>();
     if (!value || !(*value >= parameter.lower && *value <= parameter.upper))
       return failure(fmt::format("{}: {} of effect {} must be a number within {} ... {} {}", at(path, *node),
@@ -97,7 +97,7 @@ std::string format_extended_parameters(const ExtendedParameters& parameters) {
     text += fmt::format("\n[[effect]]\nname = \"{}\"\n", info.name);
     for (std::size_t i = 0; i < info.parameters.size(); ++i)
       text += fmt::format("{} = {:.17g}  # {}, {}\n", info.parameters[i].name, values.values[i],
-                          info.parameters[i].unit, info.parameters[i].description);
+                          info.parameters[i].unit, in_words(info.parameters[i]));
   }
   return text;
 }

@@ -98,9 +98,10 @@ std::vector<EstimatedParameter> effect_parameters(const ExtendedEstimate& estima
   const EffectInfo& info = info_of(*values.effect);
   for (std::size_t i = 0; i < info.parameters.size(); ++i) {
     const bool chosen = !is_estimated(info.parameters[i]);
-    list.push_back(
-        {std::string(info.parameters[i].name), std::string(info.parameters[i].unit), values.values[i],
-         chosen || estimate.covariance.rows() <= at ? NAN : std::sqrt(estimate.covariance(at, at))});
+    list.push_back({std::string(info.parameters[i].name), std::string(info.parameters[i].unit),
+                    values.values[i],
+                    chosen || estimate.covariance.rows() <= at ? NAN : std::sqrt(estimate.covariance(at, at)),
+                    std::string(choice_of(info.parameters[i], values.values[i]))});
     at += !chosen;
   }
   if (info.free_states > 0 && info.free_states_count) {

@@ -47,11 +47,9 @@ std::string strength_of(const NamedEffect& effect) {
 std::string words_of(const NamedEffect& effect) {
   const std::string cause(info_of(*find_effect(effect.name)).cause);
   if (effect.name == "channel-skew") {
-    const char* const channels[] = {"?", "reading of clamp force", "reading of velocity",
-                                    "reading of torque"};
     const double late = parameter_of(effect, "fraction")->value + parameter_of(effect, "whole")->value;
-    const auto channel = static_cast<int>(parameter_of(effect, "channel")->value);
-    return fmt::format("the {} comes {:.2g} samples late", channels[channel], late);
+    return fmt::format("the reading of {} comes {:.2g} samples late", parameter_of(effect, "channel")->choice,
+                       late);
   }
   if (effect.name == "cogging") {
     const double amplitude = std::hypot(effect.parameters[0].value, effect.parameters[1].value);
@@ -71,8 +69,7 @@ std::string words_of(const NamedEffect& effect) {
                        size_of(effect.parameters.back()), size_of(effect.parameters.front()));
   if (effect.name == "outliers")
     return fmt::format("single readings of {} are far off: {} of them",
-                       effect.parameters[2].value == 1.0 ? "clamp force" : "velocity",
-                       size_of(effect.parameters[0]));
+                       parameter_of(effect, "channel")->choice, size_of(effect.parameters[0]));
   if (effect.name == "friction-drift")
     return fmt::format("{} ({} a run at first)", cause, strength_of(effect));
   return fmt::format("{} ({})", cause, strength_of(effect));

@@ -569,8 +569,10 @@ void print_details(const Score& score, const Diagnosis& diagnosis) {
   fmt::print("\n");
   for (const NamedEffect& effect : diagnosis.effects)
     for (const EstimatedParameter& parameter : effect.parameters)
-      fmt::print("  {} {} = {:.5g} +- {:.2g} {}\n", effect.name, parameter.name, parameter.value,
-                 parameter.sd, parameter.unit);
+      fmt::print("  {} {} = {}\n", effect.name, parameter.name,
+                 !parameter.choice.empty()
+                     ? parameter.choice
+                     : fmt::format("{:.5g} +- {:.2g} {}", parameter.value, parameter.sd, parameter.unit));
   for (const std::string& notice : diagnosis.notices) fmt::print("  {}\n", notice);
 }
 

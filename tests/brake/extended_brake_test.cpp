@@ -606,6 +606,32 @@ TEST(ExtendedParameters, SurviveAFile) {
   }
 }
 
+TEST(ExtendedParameters, AFileSaysWhatItsChoicesMean) {
+  ExtendedParameters parameters;
+  parameters.effects.push_back(visible(*find_effect("outliers")));
+  EXPECT_NE(format_extended_parameters(parameters).find("1 clamp force; 2 velocity"), std::string::npos);
+  const auto lacking =
+      parse_extended_parameters("[[effect]]\nname = \"pad-damping\"\ndamping = 1.0\n", "m.toml");
+  ASSERT_FALSE(lacking);
+  EXPECT_NE(lacking.error().message.find("2 in proportion to the force"), std::string::npos);
+}
+
+TEST(Effects, HaveANameForEveryChoice) {
+  int named = 0;
+  for (const Effect* effect : effects())
+    for (const EffectParameter& parameter : info_of(*effect).parameters) {
+      EXPECT_EQ(choice_of(parameter, parameter.lower - 1.0), "");
+      EXPECT_EQ(choice_of(parameter, parameter.upper + 1.0), "");
+      EXPECT_EQ(choice_of(parameter, NAN), "");
+      if (parameter.choices.empty()) continue;
+      ++named;
+      EXPECT_FALSE(is_estimated(parameter)) << info_of(*effect).name;
+      EXPECT_EQ(choice_of(parameter, parameter.lower), parameter.choices.front()) << info_of(*effect).name;
+      EXPECT_EQ(choice_of(parameter, parameter.upper), parameter.choices.back()) << info_of(*effect).name;
+    }
+  EXPECT_GE(named, 6);
+}
+
 TEST(ExtendedParameters, AFormThatIsNotSaidIsTheFirst) {
   const auto read = parse_extended_parameters(
       "[[effect]]\nname = \"stiffness-hysteresis\"\nshare = 0.02\ntravel = 0.5\n", "model.toml");

@@ -64,6 +64,18 @@ TEST(DiagnosisWords, NumbersShowWhatTheirUncertaintyAllows) {
   EXPECT_EQ(words::quantity({"", "s", 0.0, 0.001}), "0.0000 ± 0.0010 s");
 }
 
+TEST(DiagnosisWords, AChoiceIsToldByItsName) {
+  Diagnosis diagnosis = rippling_brake();
+  diagnosis.effects.at(0).parameters.push_back({"law", "", 3.0, NAN, "LuGre's"});
+  EXPECT_EQ(words::quantity(diagnosis.effects[0].parameters.back()), "LuGre's");
+  EXPECT_THAT(diagnosis_text(diagnosis, kBrake, false), ::testing::ContainsRegex("law +LuGre's"));
+  const auto document = diagnosis_json(diagnosis, kBrake);
+  const auto& parameters = document["effects"][0]["parameters"];
+  EXPECT_EQ(parameters.back()["value"], 3.0);
+  EXPECT_EQ(parameters.back()["choice"], "LuGre's");
+  EXPECT_FALSE(parameters[0].contains("choice"));
+}
+
 TEST(DiagnosisWords, ChancesAreToldAsOdds) {
   EXPECT_EQ(words::chance(0.31), "31 %");
   EXPECT_EQ(words::chance(1.0 / 2345.0), "1 in 2,300");

@@ -28,10 +28,12 @@ ordered_json numbers(const std::vector<double>& values) {
 
 ordered_json parameters_json(const std::vector<EstimatedParameter>& parameters) {
   return list_of(parameters, [](const EstimatedParameter& parameter) -> ordered_json {
-    return {{"name", parameter.name},
-            {"unit", parameter.unit},
-            {"value", number_or_null(parameter.value)},
-            {"sd", number_or_null(parameter.sd)}};
+    ordered_json json{{"name", parameter.name},
+                      {"unit", parameter.unit},
+                      {"value", number_or_null(parameter.value)},
+                      {"sd", number_or_null(parameter.sd)}};
+    if (!parameter.choice.empty()) json["choice"] = parameter.choice;
+    return json;
   });
 }
 

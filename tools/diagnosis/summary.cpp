@@ -64,7 +64,7 @@ void add_effects(Text& text, const Diagnosis& diagnosis) {
       const std::string cause = words::cause(effect.name);
       text.add("  {}{}{}\n", effect.name, cause.empty() ? "" : ": ", cause);
       for (const EstimatedParameter& parameter : effect.parameters) {
-        // A choice is a bare number, which tells nobody anything.
+        // What is not estimated tells nobody anything by itself.
         const std::string meaning =
             std::isfinite(parameter.sd) ? "" : "  " + words::meaning(effect.name, parameter.name);
         text.add("    {:<14} {}{}\n", parameter.name, words::quantity(parameter), meaning);

@@ -74,6 +74,7 @@ std::string with_sd(double value, double sd) {
 }
 
 std::string quantity(const EstimatedParameter& parameter) {
+  if (!parameter.choice.empty()) return parameter.choice;
   const Scaled scale = readable(parameter);
   const std::string number = with_sd(parameter.value * scale.factor, parameter.sd * scale.factor);
   return parameter.unit.empty() || parameter.unit == "1"

@@ -13,7 +13,7 @@ namespace clampd::words {
 /// "50.2 ± 0.4", to two digits of the standard deviation; without ± where sd is NaN or 0, "-" for NaN.
 std::string with_sd(double value, double sd);
 
-/// The same in a unit that people read with ease: "3.02 ± 0.01 ms" for seconds.
+/// The same in a unit that people read with ease: "3.02 ± 0.01 ms" for seconds; a choice by its name.
 std::string quantity(const EstimatedParameter& parameter);
 
 /// What an effect's parameter means; empty if the catalogue does not know them.

@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <span>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -33,7 +34,15 @@ struct EffectParameter {
   double scale = 1.0;        ///< the size of a change that matters
   bool logarithmic = false;  ///< estimated as its logarithm; must be positive
   std::vector<double> starts = {};
+  /// What its values 1, 2, ... are called; empty where it is a quantity.
+  std::vector<std::string_view> choices = {};
 };
+
+/// What this value of a parameter is called; empty where it is a quantity.
+std::string_view choice_of(const EffectParameter& parameter, double value) noexcept;
+
+/// Its description, with what its values are called: "of the reading", "that is late: 1 force, 2 velocity".
+std::string in_words(const EffectParameter& parameter);
 
 inline bool is_estimated(const EffectParameter& parameter) {
   return parameter.role == EffectParameter::Role::Strength || parameter.role == EffectParameter::Role::Shape;

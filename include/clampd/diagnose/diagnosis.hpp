@@ -30,6 +30,7 @@ struct EstimatedParameter {
   std::string unit;
   double value = std::numeric_limits<double>::quiet_NaN();
   double sd = std::numeric_limits<double>::quiet_NaN();
+  std::string choice = {};  ///< what the value is called, where it is one of a list
 };
 
 /// An effect that the diagnosis puts forward. With the verdict Ambiguous: the best of the rivals, or one that

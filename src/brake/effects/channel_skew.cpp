@@ -31,12 +31,13 @@ class ChannelSkew final : public EquationsOf<ChannelSkew> {
                                                   .starts = {0, 1, 2, 3, 4, 5, 6}},
                                                  {.name = "channel",
                                                   .unit = "",
-                                                  .description = "1 force, 2 velocity, 3 torque",
+                                                  .description = "that is late",
                                                   .role = Role::Choice,
                                                   .lower = 1,
                                                   .upper = 3,
                                                   .scale = 1,
-                                                  .starts = {1, 2, 3}}},
+                                                  .starts = {1, 2, 3},
+                                                  .choices = {"clamp force", "velocity", "torque"}}},
                                   .states = 1};
     return kInfo;
   }

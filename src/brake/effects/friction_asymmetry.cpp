@@ -32,12 +32,12 @@ class FrictionAsymmetry final : public EquationsOf<FrictionAsymmetry> {
              .scale = 0.0001},
             {.name = "share",
              .unit = "",
-             .description = "1 constant; 2 in proportion to the dry friction; 3 of the sliding part "
-                            "alone",
+             .description = "of the friction that differs",
              .role = Role::Refinement,
              .lower = 1,
              .upper = 3,
-             .starts = {1, 2, 3}}}};
+             .starts = {1, 2, 3},
+             .choices = {"constant", "in proportion to the dry friction", "the sliding part alone"}}}};
     return kInfo;
   }
   template <class T>

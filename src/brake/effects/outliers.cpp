@@ -30,10 +30,11 @@ class Outliers final : public EquationsOf<Outliers> {
                         .upper = 1e6},
                        {.name = "channel",
                         .unit = "",
-                        .description = "1 force, 2 velocity",
+                        .description = "that has them",
                         .role = Role::Choice,
                         .lower = 1,
-                        .upper = 2}}};
+                        .upper = 2,
+                        .choices = {"clamp force", "velocity"}}}};
     return kInfo;
   }
 };

@@ -14,22 +14,22 @@ class PadDamping final : public EquationsOf<PadDamping> {
         .location = Location::Stiffness,
         .cause = "the pads resist fast compression",
         .excitation = "fast motion under load",
-        .parameters = {
-            {.name = "damping",
-             .unit = "N s/rad",
-             .description = "force per velocity, at 10 kN if it grows with the force",
-             .lower = 0,
-             .upper = 200,
-             .scale = 1},
-            {.name = "law",
-             .unit = "",
-             .description =
-                 "1 the same in all of the contact; 2 in proportion to the force (Hunt and Crossley)",
-             .role = Role::Choice,
-             .lower = 1,
-             .upper = 2,
-             .scale = 1,
-             .starts = {1, 2}}}};
+        .parameters = {{.name = "damping",
+                        .unit = "N s/rad",
+                        .description = "force per velocity, at 10 kN if it grows with the force",
+                        .lower = 0,
+                        .upper = 200,
+                        .scale = 1},
+                       {.name = "law",
+                        .unit = "",
+                        .description = "by which the pads damp",
+                        .role = Role::Choice,
+                        .lower = 1,
+                        .upper = 2,
+                        .scale = 1,
+                        .starts = {1, 2},
+                        .choices = {"the same in all of the contact",
+                                    "in proportion to the force (Hunt and Crossley)"}}}};
     return kInfo;
   }
   template <class T>

@@ -27,7 +27,7 @@ class StiffnessHysteresis final : public EquationsOf<StiffnessHysteresis> {
                         .scale = 0.02},
                        {.name = "travel",
                         .unit = "rad",
-                        .description = "that turns the loop round (laws 2 and 3: within 10 ms)",
+                        .description = "that turns the loop round (by speed: within 10 ms)",
                         .role = Role::Shape,
                         .lower = 0.005,
                         .upper = 20,
@@ -36,12 +36,13 @@ class StiffnessHysteresis final : public EquationsOf<StiffnessHysteresis> {
                         .starts = {0.1, 0.5, 2.5}},
                        {.name = "law",
                         .unit = "",
-                        .description = "1 travel turns it round; 2 missing while the pads "
-                                       "move back; 3 half of it at rest, too; 4 as 1, in a straight line",
+                        .description = "what turns the loop round",
                         .role = Role::Refinement,
                         .lower = 1,
                         .upper = 4,
-                        .starts = {1, 4, 2, 3}}},
+                        .starts = {1, 4, 2, 3},
+                        .choices = {"travel", "speed, missing while the pads move back",
+                                    "speed, half of it missing at rest", "travel, in a straight line"}}},
         .states = 1};
     return kInfo;
   }
