@@ -95,9 +95,11 @@ std::string format_extended_parameters(const ExtendedParameters& parameters) {
   for (const EffectValues& values : parameters.effects) {
     const EffectInfo& info = info_of(*values.effect);
     text += fmt::format("\n[[effect]]\nname = \"{}\"\n", info.name);
-    for (std::size_t i = 0; i < info.parameters.size(); ++i)
-      text += fmt::format("{} = {:.17g}  # {}, {}\n", info.parameters[i].name, values.values[i],
-                          info.parameters[i].unit, in_words(info.parameters[i]));
+    for (std::size_t i = 0; i < info.parameters.size(); ++i) {
+      const EffectParameter& parameter = info.parameters[i];
+      text += fmt::format("{} = {:.17g}  # {}{}{}\n", parameter.name, values.values[i], parameter.unit,
+                          parameter.unit.empty() ? "" : ", ", in_words(parameter));
+    }
   }
   return text;
 }

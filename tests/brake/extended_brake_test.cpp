@@ -609,7 +609,8 @@ TEST(ExtendedParameters, SurviveAFile) {
 TEST(ExtendedParameters, AFileSaysWhatItsChoicesMean) {
   ExtendedParameters parameters;
   parameters.effects.push_back(visible(*find_effect("outliers")));
-  EXPECT_NE(format_extended_parameters(parameters).find("1 clamp force; 2 velocity"), std::string::npos);
+  EXPECT_NE(format_extended_parameters(parameters).find("# that has them: 1 clamp force; 2 velocity"),
+            std::string::npos);
   const auto lacking =
       parse_extended_parameters("[[effect]]\nname = \"pad-damping\"\ndamping = 1.0\n", "m.toml");
   ASSERT_FALSE(lacking);
