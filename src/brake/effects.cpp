@@ -71,8 +71,8 @@ const EffectInfo& info_of(const Effect& effect) {
 }
 
 std::string_view choice_of(const EffectParameter& parameter, double value) noexcept {
-  if (!(value >= 1.0 && value < static_cast<double>(parameter.choices.size()) + 1.0)) return {};
-  return parameter.choices[static_cast<std::size_t>(value) - 1];
+  if (!(value >= 1.0 && value <= static_cast<double>(parameter.choices.size()))) return {};
+  return parameter.choices[effects_detail::chosen<std::size_t>(value) - 1];
 }
 
 std::string in_words(const EffectParameter& parameter) {

@@ -107,7 +107,7 @@ void follow(const Start& start, Hypothesis& extended) {
   }
 }
 
-/// `least`: as of ExtendedFitOptions, with the readings that the effect's delays make unusable.
+/// `least`: see refit().
 Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double torque_noise_Nm,
                        int max_iterations, Brake brake = Brake::Fitted,
                        double least = ExtendedFitOptions{}.least_log_likelihood) {
@@ -118,8 +118,7 @@ Hypothesis fitted_from(const Start& start, const Hypothesis& hypothesis, double 
   if (start.step.size() > 0) follow(start, extended);
   extended.estimate.noise.torque_Nm = torque_noise_Nm;
   if (brake == Brake::Nominal) extended.estimate.parameters.base.theta = nominal_parameters();
-  refit(extended, max_iterations,
-        least - extended.unused_log_likelihood - likelihood_of_unusable(delays, extended));
+  refit(extended, max_iterations, least - likelihood_of_unusable(delays, extended));
   extended.unused_log_likelihood += likelihood_of_unusable(delays, extended);
   extended.degrees += degrees_of(*start.values.effect, extended.runs.size());
   return extended;
@@ -134,6 +133,10 @@ bool is_brake_impossible(const Hypothesis& hypothesis) {
     if (value < kNearBound * info.lower || value > info.upper / kNearBound) return true;
   }
   return false;
+}
+
+bool is_impossible(const Hypothesis& hypothesis) {
+  return is_torque_impossible(hypothesis) || is_brake_impossible(hypothesis);
 }
 
 void keep_if_better(Hypothesis&& other, Hypothesis& kept) {
@@ -161,7 +164,7 @@ void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std:
       EffectValues& chosen = other.estimate.parameters.effects[effect];
       chosen.values = chosen_otherwise(*values.effect, values.values, i, choice);
       if (choice == values.values[i] || !delays_of(chosen).none()) continue;
-      refit(other, kRoughIterations, hypothesis.estimate.log_likelihood - kBehind_nats);
+      refit(other, kRoughIterations, hypothesis.log_likelihood() - kBehind_nats);
       if (other.possible()) list.push_back(std::move(other));
     }
   }
@@ -222,8 +225,7 @@ void weigh(Candidate& candidate, const Hypothesis& hypothesis) {
 }
 
 bool is_stuck(const Hypothesis& hypothesis) {
-  if (is_torque_impossible(hypothesis) || is_brake_impossible(hypothesis)) return true;
-  return promise_of(hypothesis) > kStuck_nats;
+  return is_impossible(hypothesis) || promise_of(hypothesis) > kStuck_nats;
 }
 
 bool is_torque_impossible(const Hypothesis& hypothesis) {
@@ -398,7 +400,7 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
 void refit(Hypothesis& hypothesis, int max_iterations, double least) {
   ExtendedFitOptions options;
   options.max_iterations = max_iterations;
-  options.least_log_likelihood = least;
+  options.least_log_likelihood = least - hypothesis.unused_log_likelihood;
   options.threads = hypothesis.threads;
   hypothesis.estimate = fit_extended(hypothesis.runs, hypothesis.estimate, options);
 }
@@ -436,14 +438,13 @@ void settle(Hypothesis& hypothesis) {
 
 Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<const Run> recorded) {
   Hypothesis reduced = taken_out(hypothesis, effect, recorded);
-  const auto near_enough = [&] {
-    return std::min(kNearEnough * (hypothesis.log_likelihood() - reduced.log_likelihood()), kStuck_nats);
-  };
-  refit(reduced, kRoughIterations);
-  for (int more = 1; more < kMostMisses && reduced.possible() && near_enough() > kNotEnded_nats; ++more) {
-    if (is_torque_impossible(reduced) || is_brake_impossible(reduced)) break;
-    if (promise_of(reduced) < near_enough()) return reduced;
+  for (int fits = 1;; ++fits) {
     refit(reduced, kRoughIterations);
+    const double near_enough =
+        std::min(kNearEnough * (hypothesis.log_likelihood() - reduced.log_likelihood()), kStuck_nats);
+    if (fits == kMostMisses || !reduced.possible() || is_impossible(reduced) || near_enough <= kNotEnded_nats)
+      break;
+    if (promise_of(reduced) < near_enough) return reduced;
   }
   settle(reduced);
   return reduced;

@@ -86,8 +86,8 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis);
 /// Fits it to the end, if it is not there.
 void settle(Hypothesis& hypothesis);
 
-/// Fits the hypothesis anew with its effects as they are. `least`: the log-likelihood that it is to get near
-/// to, or else be given up.
+/// Fits the hypothesis anew with its effects as they are. `least`: the log-likelihood, of all readings, that
+/// it is to get near to, or else be given up.
 void refit(Hypothesis& hypothesis, int max_iterations = ExtendedFitOptions{}.max_iterations,
            double least = ExtendedFitOptions{}.least_log_likelihood);
 
