@@ -11,10 +11,18 @@ namespace {
 
 constexpr double kOpeningSpeed_rad_s = 30.0;
 constexpr double kOpeningTorque_Nm = 1.0;  // enough to break a clamped brake loose, gentle to an end stop
-constexpr double kStretch_rad = 0.7;       // of opening over which the force is averaged
-constexpr double kStretchDrop_N = 60.0;    // the force still falls: pads in contact
-constexpr double kOpenMargin_rad = 1.5;    // on from where the force no longer falls
-constexpr int kStallSamples = 50;          // still, though driven: at the end stop
+// Should the force reading be dead, the approach must not clamp hard: this torque holds some 13 kN.
+constexpr double kApproachTorque_Nm = 0.8;
+// The approach proves the readings: travel by the encoder against travel by the velocity.
+constexpr double kProvenTravel_rad = 0.5;
+constexpr double kProvenShare = 0.25;
+// From run to run the stiffness that the force reading shows does not change by more.
+constexpr double kStiffnessChange = 0.12;
+constexpr double kComparedForce_N = 2000.0;
+constexpr double kStretch_rad = 0.7;     // of opening over which the force is averaged
+constexpr double kStretchDrop_N = 60.0;  // the force still falls: pads in contact
+constexpr double kOpenMargin_rad = 1.5;  // on from where the force no longer falls
+constexpr int kStallSamples = 50;        // still, though driven: at the end stop
 constexpr double kStallTravel_rad = 0.05;
 constexpr int kRestSamples = 10;
 constexpr double kRestSpeed_rad_s = 1.0;
@@ -49,6 +57,7 @@ CheckPhase CheckSequence::phase() const noexcept {
   switch (stage_) {
     case Stage::Open:
     case Stage::Rest:
+      return plan_->open_only ? CheckPhase::Release : CheckPhase::Return;
     case Stage::Return:
       return CheckPhase::Return;
     case Stage::Tare:
@@ -102,6 +111,7 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
   }
   index_ = feedback.sample_index;
   observer_.correct(feedback.position_rad, velocity_rad_s);
+  proof_.velocity_rad += velocity_rad_s * kPeriod_s;
   const ForcePair& pair = median_pair({force_N_, feedback.position_rad});
   smooth_force_N_ += 0.3 * (pair.force_N - smooth_force_N_);
   if (contact_known_) stiffness_.learn(pair.position_rad, pair.force_N, observer_.velocity_rad_s());
@@ -114,6 +124,7 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
     if (row < static_cast<std::int64_t>(plan_->reference.rows.size())) {
       output.trajectory_index = static_cast<std::int32_t>(row);
       output.force_reference_N = plan_->reference.rows[static_cast<std::size_t>(row)].force_N;
+      compare_stiffness();
     }
   }
   const bool bounded_in_time = stage_ != Stage::Trajectory && stage_ != Stage::Done;
@@ -126,6 +137,12 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
     const ControlLimits limits{.torque_Nm = plan_->torque_limit_Nm};
     output.torque_Nm = limited_torque_Nm(torque_Nm, limits, plan_->drive, observer_, force_N_, slope_N_rad);
   }
+  output.context = {.at_rest = stage_ == Stage::Tare,
+                    .stop_ahead = stage_ == Stage::Open || stage_ == Stage::Release,
+                    .contact_known = contact_known_,
+                    .contact_rad = proof_.origin_rad,
+                    .force_zero_N = force_offset_N_};
+  if (output.fault == FaultCause::None) output.fault = unproven_;
   last_ = output;
   return output;
 }
@@ -138,6 +155,28 @@ const CheckSequence::ForcePair& CheckSequence::median_pair(const ForcePair& newe
            pairs_[i].force_N <= std::max(pairs_[a].force_N, pairs_[b].force_N);
   };
   return between(1, 0, 2) ? pairs_[1] : between(2, 0, 1) ? pairs_[2] : pairs_[0];
+}
+
+/// Adds to what this run's force is, as a share of what the nominal brake would have at the same compression.
+void CheckSequence::compare_stiffness() noexcept {
+  const double u = observer_.position_rad() - proof_.origin_rad;
+  if (u <= 0.0) return;
+  const double nominal_N = (plan_->drive.cubic_N_rad3 * u + plan_->drive.quadratic_N_rad2) * u * u;
+  if (nominal_N < kComparedForce_N) return;
+  run_force_N_ += force_N_;
+  run_nominal_N_ += nominal_N;
+}
+
+/// At the end of a run: a force reading that was true in the first runs shows the same stiffness in all
+/// others.
+void CheckSequence::judge_stiffness() noexcept {
+  const double share = run_nominal_N_ > 0.0 ? run_force_N_ / run_nominal_N_ : 0.0;
+  run_force_N_ = run_nominal_N_ = 0.0;
+  if (share <= 0.0 && first_share_ <= 0.0) return;
+  if (first_share_ <= 0.0)
+    first_share_ = share;
+  else if (std::abs(share - first_share_) > kStiffnessChange * first_share_)
+    unproven_ = FaultCause::ForceReading;
 }
 
 double CheckSequence::decide(const BrakeFeedback& feedback) noexcept {
@@ -181,13 +220,14 @@ double CheckSequence::open() noexcept {
       const double mean_N = stretch_.sum_N / stretch_.samples;
       const bool falls = stretch_.has_before && stretch_.before_N - mean_N > kStretchDrop_N;
       stretch_.flat = stretch_.has_before && !falls ? stretch_.flat + 1 : 0;
+      stretch_.fell = stretch_.fell || falls;
       stretch_.before_N = mean_N;
       stretch_.has_before = true;
       stretch_.sum_N = 0.0;
       stretch_.samples = 0;
       stretch_.begin_rad = observer_.position_rad();
     }
-  } else if (travelled_rad >= kOpenMargin_rad) {
+  } else if (travelled_rad >= (plan_->open_only && stretch_.fell ? plan_->clearance_rad : kOpenMargin_rad)) {
     enter(Stage::Rest);
   }
   if (still_samples_ >= kStallSamples && force_N < plan_->contact_force_N * kLearnFactor) enter(Stage::Rest);
@@ -200,7 +240,7 @@ double CheckSequence::rest() noexcept {
   if (still_samples_ >= kRestSamples) {
     sum_force_N_ = sum_velocity_rad_s_ = 0.0;
     tare_samples_ = 0;
-    enter(Stage::Tare);
+    enter(plan_->open_only ? Stage::Done : Stage::Tare);
   }
   if (still_samples_ > 0) return 0.0;
   return velocity_torque_Nm(0.0, 0.0, plan_->drive, observer_, 0.0);
@@ -216,21 +256,46 @@ double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
   smooth_force_N_ = 0.0;
   pairs_.fill({0.0, feedback.position_rad});
   observer_.reset(feedback.position_rad);
+  proof_ = {.begin_rad = feedback.position_rad};
   enter(Stage::Approach);
   return 0.0;
+}
+
+/// Travel by the encoder and by the velocity since the approach began, or the reading that it disproves.
+/// Where they differ, the pads tell: between two forces lies a known compression.
+FaultCause CheckSequence::prove_motion() const noexcept {
+  const double position_rad = observer_.position_rad() - proof_.begin_rad;
+  const double difference_rad = std::abs(proof_.velocity_rad - position_rad);
+  const double larger_rad = std::max(std::abs(proof_.velocity_rad), std::abs(position_rad));
+  if (difference_rad < kProvenTravel_rad + kProvenShare * larger_rad) return FaultCause::None;
+  const double contact_N = plan_->contact_force_N;
+  const double expected_rad = std::sqrt(kLearnFactor * contact_N / plan_->drive.quadratic_N_rad2) -
+                              std::sqrt(contact_N / plan_->drive.quadratic_N_rad2);
+  const double compressed_rad = observer_.position_rad() - proof_.contact_rad;
+  return std::abs(compressed_rad - expected_rad) > kProvenShare * expected_rad ? FaultCause::PositionReading
+                                                                               : FaultCause::VelocityReading;
 }
 
 double CheckSequence::approach() noexcept {
   if (!contact_known_ && smooth_force_N_ > plan_->contact_force_N) {
     stiffness_.start(plan_->drive, observer_.position_rad(), smooth_force_N_);
     contact_known_ = true;
+    proof_.contact_rad = observer_.position_rad();
+    proof_.origin_rad = stiffness_.contact_rad();
   }
   if (contact_known_ && smooth_force_N_ > kLearnFactor * plan_->contact_force_N) {
+    unproven_ = prove_motion();
     enter(Stage::Return);
     return move_to_start();
   }
-  return velocity_torque_Nm(plan_->approach_velocity_rad_s, 0.0, plan_->drive, observer_,
-                            std::max(0.0, smooth_force_N_));
+  // More only where the force that is looked for takes more.
+  const double wanted_N = kLearnFactor * plan_->contact_force_N;
+  const double holding_Nm =
+      plan_->drive.ratio_m_rad * wanted_N + 2.0 * plan_->drive.dry_friction_Nm(0.0, wanted_N);
+  const double limit_Nm = std::max(kApproachTorque_Nm, 1.5 * holding_Nm);
+  return std::clamp(velocity_torque_Nm(plan_->approach_velocity_rad_s, 0.0, plan_->drive, observer_,
+                                       std::max(0.0, smooth_force_N_)),
+                    -limit_Nm, limit_Nm);
 }
 
 double CheckSequence::start_position_rad() const noexcept {
@@ -264,6 +329,7 @@ double CheckSequence::track() noexcept {
   const auto& rows = plan_->reference.rows;
   const auto next = static_cast<std::size_t>(index_ + 1 - trajectory_start_);  // the row this command acts in
   if (next >= rows.size()) {
+    judge_stiffness();
     ++repeat_;
     const bool again = repeat_ < plan_->repeats;
     if (!again) --repeat_;

@@ -9,6 +9,7 @@
 #include "clampd/record/sample.hpp"
 #include "rt/force_controller.hpp"
 #include "rt/motion_observer.hpp"
+#include "rt/reading_monitor.hpp"
 #include "rt/stiffness_estimate.hpp"
 
 namespace clampd::rt {
@@ -26,6 +27,9 @@ struct CheckPlan {
   double settle_s = 0.05;          ///< rest at the contact point before each run
   double phase_timeout_s = 5.0;    ///< any phase but the trajectory: then SequenceTimeout
   double torque_limit_Nm = 3.0;
+  double deadline_s = 60.0;  ///< from when the loop takes it: then DeadlinePassed
+  /// Open a brake that may be clamped, and no more: no tare, no run. Reports Release throughout.
+  bool open_only = false;
 };
 
 /// What the loop shall do with this sample.
@@ -35,6 +39,7 @@ struct SequenceOutput {
   std::uint16_t repeat = 0;
   std::int32_t trajectory_index = -1;  ///< row of the run that *this* sample is; -1 outside of a run
   double force_reference_N = 0.0;      ///< reference at this sample
+  ReadingContext context;              ///< what is known of the brake, to judge the next sample by
   FaultCause fault = FaultCause::None;
 };
 
@@ -46,7 +51,11 @@ struct SequenceOutput {
 /// alike, a gap moves the trajectory on by as many rows. A sample index that runs backwards is
 /// FeedbackFrozen.
 ///
-/// A brake that is found clamped, or not open for sure, is opened first; that phase reports Return.
+/// The gentle moves before the first run prove the readings: opening and approach are short of torque, the
+/// approach ends only with a live force, and by then encoder and velocity must tell of the same travel.
+///
+/// A brake that is found clamped, or not open for sure, is opened first; that phase reports Return. A plan
+/// that is `open_only` ends there, with the clearance open.
 class CheckSequence {
  public:
   /// `plan` must stay alive and unchanged until done() or abandon(); its reference must not be empty.
@@ -64,10 +73,13 @@ class CheckSequence {
   };
 
   CLAMPD_REALTIME const ForcePair& median_pair(const ForcePair& newest) noexcept;
+  CLAMPD_REALTIME void compare_stiffness() noexcept;
+  CLAMPD_REALTIME void judge_stiffness() noexcept;
   CLAMPD_REALTIME double decide(const BrakeFeedback& feedback) noexcept;
   CLAMPD_REALTIME double open() noexcept;
   CLAMPD_REALTIME double rest() noexcept;
   CLAMPD_REALTIME double tare(const BrakeFeedback& feedback) noexcept;
+  CLAMPD_REALTIME FaultCause prove_motion() const noexcept;
   CLAMPD_REALTIME double approach() noexcept;
   CLAMPD_REALTIME double move_to_start() noexcept;
   CLAMPD_REALTIME double settle() noexcept;
@@ -102,13 +114,26 @@ class CheckSequence {
     int samples = 0;
     double before_N = 0.0;  ///< mean of the stretch before
     bool has_before = false;
-    int flat = 0;  ///< stretches without a drop, in a row
+    int flat = 0;       ///< stretches without a drop, in a row
+    bool fell = false;  ///< it was clamped
   } stretch_;
   int still_samples_ = 0;
 
   double sum_force_N_ = 0.0;
   double sum_velocity_rad_s_ = 0.0;
   int tare_samples_ = 0;
+
+  /// What the approach proves of the readings.
+  struct Proof {
+    double begin_rad = 0.0;     ///< encoder, where the approach began
+    double velocity_rad = 0.0;  ///< travel since, by the velocity
+    double contact_rad = 0.0;   ///< encoder, where contact was found
+    double origin_rad = 0.0;    ///< encoder, where the pads begin to touch, by that
+  } proof_;
+  double run_force_N_ = 0.0;  ///< sums over the present run
+  double run_nominal_N_ = 0.0;
+  double first_share_ = 0.0;  ///< force over the nominal brake's at the same compression, in the first run
+  FaultCause unproven_ = FaultCause::None;
 
   bool contact_known_ = false;
   MotionObserver observer_;

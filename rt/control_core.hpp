@@ -9,7 +9,9 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/record/brake_port.hpp"
 #include "clampd/record/interlocks.hpp"
@@ -22,10 +24,40 @@
 
 namespace clampd::rt {
 
+/// What whoever asks for a start has seen of the station by then. The start is void once that has changed.
+struct StartTicket {
+  std::uint64_t stops = 0;          ///< RequestBoard::stops
+  std::uint64_t fault_changes = 0;  ///< StatusBoard::fault_changes
+  std::int64_t asked_ns = 0;        ///< by the loop's clock
+};
+
+/// A start that was not taken for longer is void: who asked for it no longer expects the brake to move.
+inline constexpr std::int64_t kStartLife_ns = 300 * kNanosecondsPerMillisecond;
+
+/// Why a start was not taken.
+enum class StartRefusal : std::uint8_t {
+  None,
+  Stopped,  ///< a stop came after it was asked for
+  Fault,    ///< it was asked for in FAULT, or the station went there since
+  TooLate,  ///< not taken within kStartLife_ns
+};
+
+/// How a check ended, as the loop saw it there and then. Neither refusal nor fault: it reached its end.
+struct CheckEnd {
+  StartRefusal refusal = StartRefusal::None;  ///< unless None: nothing ever moved
+  FaultCause fault = FaultCause::None;        ///< that ended the check, or was there when it was refused
+  StationState state = StationState::Init;    ///< in which that fault was latched
+};
+
 /// What other threads may read at any time. Every field is atomic on its own; the ring carries the consistent
 /// data. Who waits for a check watches checks_finished: what belongs to that check is already in place when
-/// it counts up.
+/// it counts up, the CheckEnd too, which stays until the next check ends, whatever the state then is.
 struct StatusBoard {
+  std::atomic<std::int64_t> now_ns{0};  ///< of the last tick, by the loop's clock
+  /// Stops that have taken effect: the command that was sent before this counted up drives nothing that was
+  /// asked for before them.
+  std::atomic<std::uint64_t> stops{0};
+  std::atomic<std::uint64_t> fault_changes{0};  ///< times that the station went to FAULT or left it
   std::atomic<StationState> state{StationState::Init};
   std::atomic<FaultCause> fault{FaultCause::None};
   std::atomic<std::int64_t> fault_time_ns{0};                 ///< when it was latched
@@ -41,20 +73,50 @@ struct StatusBoard {
   std::atomic<std::uint64_t> check_ring_drops{0};
   std::atomic<std::uint64_t> check_lost_samples{0};  ///< by the port's count, in any phase
   std::atomic<std::uint64_t> checks_finished{
-      0};  ///< sequences that reached Done, were ended by a fault or refused in FAULT
+      0};  ///< sequences that reached Done, were ended by a fault or whose start was refused
+  std::atomic<StartRefusal> end_refusal{StartRefusal::None};  ///< CheckEnd of the last one, as the next two
+  std::atomic<FaultCause> end_fault{FaultCause::None};
+  std::atomic<StationState> end_state{StationState::Init};
   std::atomic<double> force_N{0.0};
   std::atomic<double> velocity_rad_s{0.0};
   std::atomic<double> torque_Nm{0.0};
 };
 
-/// Requests from other threads; the tick takes them. Lock-free, one slot each.
+/// Requests from other threads; the tick takes them. Lock-free.
 struct RequestBoard {
-  /// A check to start. Taken (set to null) when ARMED; waits in INIT; refused (set to null, counted as
-  /// finished) in FAULT, so that nothing moves after a fault without a clear and then a new check.
-  std::atomic<const CheckPlan*> plan{nullptr};
-  std::atomic<bool> stop{false};            ///< operator stop; also withdraws a plan that waits
-  std::atomic<bool> emergency_stop{false};  ///< level, not edge: FAULT persists while true
-  std::atomic<bool> clear{false};           ///< operator clears the fault; ignored unless clearable
+  std::atomic<std::uint64_t> stops{0};          ///< operator stops, counted up by stop() only
+  std::atomic<std::int64_t> stopped_ns{0};      ///< when the last one was asked for
+  std::atomic<bool> emergency_stop{false};      ///< level, not edge: FAULT persists while true
+  std::atomic<bool> clear{false};               ///< operator clears the fault; ignored unless clearable
+  std::atomic<const CheckPlan*> plan{nullptr};  ///< given by start() only, taken by the tick
+
+  /// An operator stop: ends a check, and voids every start that was asked for before. Any thread. It has
+  /// taken effect once StatusBoard::stops has reached what this returns.
+  std::uint64_t stop(std::int64_t now_ns) noexcept {
+    stopped_ns.store(now_ns, std::memory_order_relaxed);
+    return stops.fetch_add(1, std::memory_order_acq_rel) + 1;
+  }
+
+  /// A check to start, one at a time: not before checks_finished has counted the last one. The tick takes it
+  /// in IDLE; it waits in INIT; it is refused, and counted as finished, once its ticket is void.
+  void start(const CheckPlan& check, const StartTicket& ticket) noexcept {
+    ticket_stops_.store(ticket.stops, std::memory_order_relaxed);
+    ticket_fault_changes_.store(ticket.fault_changes, std::memory_order_relaxed);
+    ticket_asked_ns_.store(ticket.asked_ns, std::memory_order_relaxed);
+    plan.store(&check, std::memory_order_release);
+  }
+
+  /// Of the plan that was read with acquire order.
+  CLAMPD_REALTIME StartTicket ticket() const noexcept {
+    return {ticket_stops_.load(std::memory_order_relaxed),
+            ticket_fault_changes_.load(std::memory_order_relaxed),
+            ticket_asked_ns_.load(std::memory_order_relaxed)};
+  }
+
+ private:
+  std::atomic<std::uint64_t> ticket_stops_{0};
+  std::atomic<std::uint64_t> ticket_fault_changes_{0};
+  std::atomic<std::int64_t> ticket_asked_ns_{0};
 };
 
 /// The port's health for other threads, as of the last tick.
@@ -116,7 +178,7 @@ class BasicControlCore {
     begin(now_ns, skipped_periods);
     for (std::size_t i = 0; i < received; ++i) take(feedback_[i], logged_[i], now_ns, lateness_ns);
     supervisor_.end_samples();
-    start_if_requested();
+    start_if_requested(now_ns);
 
     const TorqueCommand command = safe_command();
     const bool handed_over = port_.send(command, now_ns);
@@ -129,14 +191,16 @@ class BasicControlCore {
     supervisor_.sent(handed_over, command.torque_Nm);
 
     log(received);
-    publish(lateness_ns, skipped_periods);
+    publish(now_ns, lateness_ns, skipped_periods);
   }
 
-  /// The loop's last act: drive off, and a running check counted as ended by a stop.
+  /// The loop's last act: drive off, a running check counted as ended by that, a start that waits refused.
   CLAMPD_REALTIME void shutdown(std::int64_t now_ns) noexcept {
-    supervisor_.raise(FaultCause::OperatorStop);
+    supervisor_.raise(FaultCause::StationEnded);
     port_.send(TorqueCommand{}, now_ns);
     end_check_on_fault();
+    if (requests_.plan.load(std::memory_order_acquire) != nullptr) refuse(StartRefusal::Stopped);
+    stops_taken_ = requests_.stops.load(std::memory_order_acquire);
     publish_state();
     if (interlocks_ != nullptr) interlocks_->beat({status_.ticks, StationState::Fault});
   }
@@ -144,6 +208,31 @@ class BasicControlCore {
   SampleRing& ring() noexcept { return ring_; }
   const StatusBoard& status() const noexcept { return status_; }
   RequestBoard& requests() noexcept { return requests_; }
+
+  /// What a start that is asked for now carries. Any thread.
+  StartTicket ticket() const noexcept {
+    StartTicket ticket;
+    ticket.asked_ns = status_.now_ns.load(std::memory_order_relaxed);
+    ticket.fault_changes = status_.fault_changes.load(std::memory_order_acquire);
+    ticket.stops = requests_.stops.load(std::memory_order_acquire);
+    return ticket;
+  }
+  /// The same for a start that was asked for at `asked_ns`, by the loop's clock; nothing if a stop or a fault
+  /// came since.
+  std::optional<StartTicket> ticket_of(std::int64_t asked_ns) const noexcept {
+    StartTicket ticket = this->ticket();
+    if (asked_ns <= requests_.stopped_ns.load(std::memory_order_relaxed) ||
+        asked_ns <= status_.fault_time_ns.load(std::memory_order_relaxed))
+      return std::nullopt;
+    ticket.asked_ns = asked_ns;
+    return ticket;
+  }
+  /// Whether a start would be refused by now, FAULT itself aside. Any thread; the tick has the last word.
+  StartRefusal refusal(const StartTicket& ticket) const noexcept {
+    return refusal(ticket, requests_.stops.load(std::memory_order_acquire),
+                   status_.fault_changes.load(std::memory_order_acquire),
+                   status_.now_ns.load(std::memory_order_relaxed));
+  }
   PortHealth health() const noexcept { return health_.load(); }
   /// Wake-up lateness within the present or last check.
   const DurationHistogram& lateness() const noexcept { return lateness_; }
@@ -161,11 +250,16 @@ class BasicControlCore {
     const std::int64_t missed_ns = static_cast<std::int64_t>(skipped_periods) * kPeriod_ns;
     if (interlocks_ != nullptr) inputs.interlocks = interlocks_->read(now_ns - missed_ns);
     if (requests_.emergency_stop.load(std::memory_order_acquire)) inputs.interlocks.emergency_stop = true;
-    inputs.operator_stop = requests_.stop.exchange(false, std::memory_order_acq_rel);
+    const std::uint64_t stops = requests_.stops.load(std::memory_order_acquire);
+    inputs.operator_stop = stops != stops_taken_;
+    stops_taken_ = stops;
     inputs.clear = requests_.clear.exchange(false, std::memory_order_acq_rel);
     // Before the clear is looked at: a plan from before the fault was cleared must not start after it.
-    if (inputs.operator_stop || supervisor_.state() == StationState::Fault) refuse_plan();
+    if (supervisor_.state() == StationState::Fault &&
+        requests_.plan.load(std::memory_order_acquire) != nullptr)
+      refuse(StartRefusal::Fault);
     supervisor_.begin_tick(inputs);
+    if (plan_ != nullptr && now_ns - armed_ns_ > deadline_ns_) supervisor_.raise(FaultCause::DeadlinePassed);
     health_.store(inputs.health);
     port_lost_samples_ = inputs.health.lost_samples;
   }
@@ -181,8 +275,8 @@ class BasicControlCore {
       torque_Nm_ = output.torque_Nm;
       supervisor_.raise(output.fault);
       if (!std::isfinite(output.torque_Nm)) supervisor_.raise(FaultCause::NonFinite);
-      supervisor_.follow(output.phase, sequence_.done());
-      if (supervisor_.state() == StationState::Idle) end_check();
+      supervisor_.follow(output.phase, sequence_.done(), output.context);
+      if (supervisor_.state() == StationState::Idle) end_check({});
     }
     sample.sample_index = feedback.sample_index;
     sample.brake_time_ns = feedback.brake_time_ns;
@@ -200,11 +294,27 @@ class BasicControlCore {
     sample.fault = supervisor_.fault();
   }
 
-  void start_if_requested() noexcept {
-    if (supervisor_.state() != StationState::Idle) return;
-    const CheckPlan* plan = requests_.plan.exchange(nullptr, std::memory_order_acq_rel);
+  static StartRefusal refusal(const StartTicket& ticket, std::uint64_t stops, std::uint64_t fault_changes,
+                              std::int64_t now_ns) noexcept {
+    if (ticket.stops < stops) return StartRefusal::Stopped;
+    if (ticket.fault_changes != fault_changes) return StartRefusal::Fault;
+    return now_ns - ticket.asked_ns > kStartLife_ns ? StartRefusal::TooLate : StartRefusal::None;
+  }
+
+  void start_if_requested(std::int64_t now_ns) noexcept {
+    const CheckPlan* plan = requests_.plan.load(std::memory_order_acquire);
     if (plan == nullptr) return;
+    const StartTicket ticket = requests_.ticket();
+    const bool in_fault = supervisor_.state() == StationState::Fault;
+    const StartRefusal why =
+        in_fault ? StartRefusal::Fault : refusal(ticket, stops_taken_, fault_changes_, now_ns);
+    if (why != StartRefusal::None) return refuse(why);
+    // A stop that it has seen and this tick has not is taken first: the next tick starts it.
+    if (supervisor_.state() != StationState::Idle || ticket.stops != stops_taken_) return;
+    requests_.plan.store(nullptr, std::memory_order_release);
     plan_ = plan;
+    armed_ns_ = now_ns;
+    deadline_ns_ = static_cast<std::int64_t>(plan->deadline_s * 1e9);
     supervisor_.arm();
     lateness_.reset();
     status_.check_ticks.store(0, std::memory_order_relaxed);
@@ -213,20 +323,25 @@ class BasicControlCore {
     lost_samples_before_check_ = port_lost_samples_;
   }
 
-  void refuse_plan() noexcept {
-    if (requests_.plan.exchange(nullptr, std::memory_order_acq_rel) != nullptr) ++finished_;
+  void refuse(StartRefusal why) noexcept {
+    requests_.plan.store(nullptr, std::memory_order_release);
+    end_check({why, supervisor_.fault(), supervisor_.fault_state()});
   }
 
-  void end_check() noexcept {
+  // The cause is taken here and now: a clear may follow before anybody looks.
+  void end_check(const CheckEnd& end) noexcept {
     plan_ = nullptr;
     torque_Nm_ = 0.0;
+    status_.end_refusal.store(end.refusal, std::memory_order_relaxed);
+    status_.end_fault.store(end.fault, std::memory_order_relaxed);
+    status_.end_state.store(end.state, std::memory_order_relaxed);
     ++finished_;
   }
 
   void end_check_on_fault() noexcept {
     if (plan_ == nullptr || supervisor_.state() != StationState::Fault) return;
     sequence_.abandon();
-    end_check();
+    end_check({StartRefusal::None, supervisor_.fault(), supervisor_.fault_state()});
   }
 
   // The last word on what leaves the station: whatever happened above, nothing but a finite, limited torque
@@ -260,7 +375,8 @@ class BasicControlCore {
     }
   }
 
-  void publish(std::int64_t lateness_ns, std::uint64_t skipped_periods) noexcept {
+  void publish(std::int64_t now_ns, std::int64_t lateness_ns, std::uint64_t skipped_periods) noexcept {
+    status_.now_ns.store(now_ns, std::memory_order_relaxed);
     bump(status_.ticks, 1);
     bump(status_.skipped, skipped_periods);
     if (plan_ != nullptr) {
@@ -282,12 +398,17 @@ class BasicControlCore {
   }
 
   void publish_state() noexcept {
+    const bool in_fault = supervisor_.state() == StationState::Fault;
+    if (in_fault != was_in_fault_) ++fault_changes_;
+    was_in_fault_ = in_fault;
     status_.fault.store(supervisor_.fault(), std::memory_order_relaxed);
     status_.fault_time_ns.store(supervisor_.fault_time_ns(), std::memory_order_relaxed);
+    status_.fault_changes.store(fault_changes_, std::memory_order_release);
     status_.fault_state.store(supervisor_.fault_state(), std::memory_order_relaxed);
     status_.clearable.store(supervisor_.clearable(), std::memory_order_relaxed);
     status_.state.store(supervisor_.state(), std::memory_order_release);
     status_.checks_finished.store(finished_, std::memory_order_release);
+    status_.stops.store(stops_taken_, std::memory_order_release);
   }
 
   // With one writer a load and a store suffice.
@@ -304,6 +425,11 @@ class BasicControlCore {
   double torque_Nm_ = 0.0;       ///< what the sequence wants from the next sample on; held over an empty tick
   double sent_torque_Nm_ = 0.0;  ///< what acts since the last tick
   std::uint64_t finished_ = 0;
+  std::uint64_t stops_taken_ = 0;
+  std::uint64_t fault_changes_ = 0;
+  bool was_in_fault_ = false;
+  std::int64_t armed_ns_ = 0;
+  std::int64_t deadline_ns_ = 0;
   std::uint64_t port_lost_samples_ = 0;
   std::uint64_t lost_samples_before_check_ = 0;
   bool captured_ = false;

@@ -42,7 +42,6 @@ struct FaultRule {
   std::string_view advice;  ///< for the technician: what happened and what to do
 };
 
-inline constexpr std::size_t kFaultCauseCount = 23;
 using Policy = std::array<FaultRule, kFaultCauseCount>;
 
 /// THE table of causes, indexed by the cause's number. The mechanism is in rt/supervisor.hpp.
@@ -76,11 +75,10 @@ inline constexpr Policy kPolicy{{
      Verdict::Error, ClearCondition::WhenGone,
      "Commands could not be sent. Check that the brake is on the bus and acknowledges, then clear the "
      "fault."},
-    {FaultCause::OverForce, "force_limit_N", FaultSeverity::Alarm, FaultScope::Ready, Verdict::Error,
-     ClearCondition::WhenGone,
-     "The clamp force passed its limit. The brake holds its force: the next check opens it first, or open it "
-     "by "
-     "hand."},
+    {FaultCause::OverForce, "force_limit_N, force_ceiling_N", FaultSeverity::Alarm, FaultScope::Ready,
+     Verdict::Error, ClearCondition::WhenGone,
+     "The clamp force passed its limit. The brake holds its force: the next check opens it first; beyond the "
+     "ceiling the station moves it no more: open it by hand."},
     {FaultCause::OverSpeed, "speed_limit_rad_s", FaultSeverity::Alarm, FaultScope::Ready, Verdict::Error,
      ClearCondition::WhenGone, "The motor ran too fast. Check the brake and its velocity sensor."},
     {FaultCause::OverTorque, "torque_limit_Nm", FaultSeverity::Alarm, FaultScope::Ready, Verdict::Error,
@@ -126,7 +124,43 @@ inline constexpr Policy kPolicy{{
      "the fault."},
     {FaultCause::StartButtonStuck, "", FaultSeverity::Stop, FaultScope::Ready, Verdict::Error,
      ClearCondition::WhenGone, "The start button is held or stuck. Free it, then clear the fault."},
+    {FaultCause::ForceReading, "readings.force_N", FaultSeverity::Alarm, FaultScope::Check, Verdict::Error,
+     ClearCondition::AtOnce,
+     "The force reading is wrong: it does not follow the compression of the pads, or stands still. Check the "
+     "load cell, its amplifier and its connector. The brake may be clamped harder than the reading says."},
+    {FaultCause::VelocityReading, "readings.velocity_rad_s, readings.position_rad", FaultSeverity::Alarm,
+     FaultScope::Check, Verdict::Error, ClearCondition::AtOnce,
+     "The velocity reading is wrong: it contradicts position and torque, or stands still. Check the velocity "
+     "sensor, its sign and scale in the DBC file, and its connector."},
+    {FaultCause::PositionReading, "readings.position_rad, readings.velocity_rad_s, plausible_jump_rad",
+     FaultSeverity::Alarm, FaultScope::Check, Verdict::Error, ClearCondition::AtOnce,
+     "The position reading is wrong: it contradicts velocity and torque, or stands still. Check the encoder, "
+     "its sign and scale in the DBC file, and its connector."},
+    {FaultCause::TorqueReading, "readings.torque_Nm", FaultSeverity::Alarm, FaultScope::Check, Verdict::Error,
+     ClearCondition::AtOnce,
+     "The torque reading is not what was commanded. Check the drive's current measurement, and that its "
+     "torque limit is not below the station's."},
+    {FaultCause::TorqueAgainstMotion, "readings.velocity_rad_s, readings.force_N", FaultSeverity::Alarm,
+     FaultScope::Check, Verdict::Error, ClearCondition::AtOnce,
+     "Position and velocity agree, but not with torque and force. Check the encoder behind both readings, "
+     "that "
+     "the drive's torque reaches the motor, and that nothing blocks the brake."},
+    {FaultCause::DeadlinePassed, "CheckPlan::deadline_s", FaultSeverity::Stop, FaultScope::Check,
+     Verdict::Timeout, ClearCondition::AtOnce,
+     "The check did not end before its deadline ([check] deadline_s). Check that the brake moves freely, or "
+     "allow more time."},
+    {FaultCause::StationEnded, "", FaultSeverity::Stop, FaultScope::Check, Verdict::Aborted,
+     ClearCondition::AtOnce,
+     "The station's program was stopped or restarted during the check. Check this brake again."},
 }};
+
+static_assert(
+    [] {
+      for (std::size_t i = 0; i < kPolicy.size(); ++i)
+        if (kPolicy[i].cause != static_cast<FaultCause>(i) || kPolicy[i].advice.empty()) return false;
+      return true;
+    }(),
+    "the policy needs one row for each cause, in the order of their numbers");
 
 constexpr const FaultRule& fault_rule(FaultCause cause) noexcept {
   return kPolicy[static_cast<std::size_t>(cause)];

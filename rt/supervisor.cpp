@@ -27,7 +27,7 @@ void Supervisor::enter_init() noexcept {
   state_entered_ns_ = now_ns_;
   init_trouble_ = FaultCause::None;
   init_saw_sample_ = false;
-  good_samples_ = 0;
+  good_samples_.restart();
 }
 
 void Supervisor::raise(FaultCause cause) noexcept {
@@ -35,7 +35,7 @@ void Supervisor::raise(FaultCause cause) noexcept {
   const FaultRule& rule = (*policy_)[static_cast<std::size_t>(cause)];
   // An open fixture, for one, may stand as long as it likes between checks.
   if (rule.scope == FaultScope::Check && !in_check()) return;
-  good_samples_ = 0;
+  good_samples_.restart();
   if (rule.clear == ClearCondition::WhenGone) last_trouble_ns_ = now_ns_;
   switch (state_) {
     case StationState::Fault:
@@ -119,13 +119,16 @@ void Supervisor::check_link(const PortHealth& health) noexcept {
 void Supervisor::observe(const BrakeFeedback& feedback) noexcept {
   last_sample_ns_ = now_ns_;
   init_saw_sample_ = true;
-  ++good_samples_;  // a raise() below starts the count over
+  good_samples_.add();  // a raise() below starts the count over
   if (!plausible(feedback)) {
     has_previous_ = false;
     raise(FaultCause::FeedbackImplausible);
     return;
   }
   check_stream(feedback);
+  check_drive(feedback);
+  // Before the limits: of a reading that lies, its name is the better answer.
+  check_readings(feedback);
   check_limits(feedback);
   previous_ = feedback;
   has_previous_ = true;
@@ -152,7 +155,8 @@ void Supervisor::check_stream(const BrakeFeedback& feedback) noexcept {
   const double unexplained_rad =
       std::abs(feedback.position_rad - previous_.position_rad -
                0.5 * (feedback.velocity_rad_s + previous_.velocity_rad_s) * elapsed_s);
-  if (unexplained_rad > settings_.plausible_jump_rad * static_cast<double>(samples)) {
+  // In a check the monitor knows better: it tells which of the two is wrong.
+  if (!in_check() && unexplained_rad > settings_.plausible_jump_rad * static_cast<double>(samples)) {
     raise(FaultCause::FeedbackImplausible);
   }
   if (samples > 1 && phase_ == CheckPhase::Trajectory) {
@@ -161,12 +165,16 @@ void Supervisor::check_stream(const BrakeFeedback& feedback) noexcept {
   }
 }
 
-void Supervisor::check_limits(const BrakeFeedback& feedback) noexcept {
+void Supervisor::check_drive(const BrakeFeedback& feedback) noexcept {
   const bool drive_dropped_out = sequence_runs() && settings_.drive_reports_live && !feedback.drive_enabled;
   if (feedback.brake_fault || feedback.watchdog_tripped || drive_dropped_out) raise(FaultCause::BrakeFault);
+}
+
+void Supervisor::check_limits(const BrakeFeedback& feedback) noexcept {
   const bool closing =
       last_torque_sent_Nm_ > 0.0 || feedback.velocity_rad_s > settings_.opening_velocity_rad_s;
-  if (feedback.force_N > settings_.force_limit_N && closing) raise(FaultCause::OverForce);
+  if (feedback.force_N > (closing ? settings_.force_limit_N : settings_.force_ceiling_N))
+    raise(FaultCause::OverForce);
   if (std::abs(feedback.velocity_rad_s) > settings_.speed_limit_rad_s) raise(FaultCause::OverSpeed);
   if (std::abs(feedback.torque_Nm) > settings_.torque_limit_Nm) raise(FaultCause::OverTorque);
   if (in_check()) {
@@ -180,17 +188,22 @@ void Supervisor::check_limits(const BrakeFeedback& feedback) noexcept {
   }
 }
 
+void Supervisor::check_readings(const BrakeFeedback& feedback) noexcept {
+  if (!in_check()) return;
+  raise(monitor_.observe(feedback, context_));
+}
+
 void Supervisor::advance(const BrakeFeedback& feedback) noexcept {
   switch (state_) {
     case StationState::Init:
-      if (good_samples_ >= settings_.good_samples_to_idle) {
+      if (good_samples_.count() >= settings_.good_samples_to_idle) {
         state_ = StationState::Idle;
         state_entered_ns_ = now_ns_;
       }
       break;
     case StationState::Armed:
-      if (settings_.drive_reports_live && !feedback.drive_enabled) good_samples_ = 0;
-      if (good_samples_ >= settings_.good_samples_to_run) {
+      if (settings_.drive_reports_live && !feedback.drive_enabled) good_samples_.restart();
+      if (good_samples_.count() >= settings_.good_samples_to_run) {
         state_ = StationState::Running;
         state_entered_ns_ = now_ns_;
       }
@@ -207,17 +220,20 @@ bool Supervisor::arm() noexcept {
   if (state_ != StationState::Idle) return false;
   state_ = StationState::Armed;
   state_entered_ns_ = now_ns_;
-  good_samples_ = 0;
+  good_samples_.restart();
   travel_known_ = false;
   skipped_in_check_ = 0;
   lost_in_check_ = 0;
   phase_ = CheckPhase::None;
+  context_ = {};
+  monitor_.restart();
   return true;
 }
 
-void Supervisor::follow(CheckPhase phase, bool done) noexcept {
+void Supervisor::follow(CheckPhase phase, bool done, const ReadingContext& context) noexcept {
   if (!sequence_runs()) return;
   phase_ = phase;
+  context_ = context;
   if (done) {
     state_ = StationState::Idle;
     state_entered_ns_ = now_ns_;
@@ -243,6 +259,7 @@ void Supervisor::end_samples() noexcept {
 
 void Supervisor::sent(bool handed_over, double torque_Nm) noexcept {
   last_torque_sent_Nm_ = torque_Nm;
+  monitor_.commanded(torque_Nm);
   if (handed_over) {
     send_failures_in_a_row_ = 0;
   } else if (++send_failures_in_a_row_ > settings_.send_failures_tolerated) {

@@ -9,6 +9,7 @@
 #include "clampd/record/interlocks.hpp"
 #include "clampd/record/sample.hpp"
 #include "rt/policy.hpp"
+#include "rt/reading_monitor.hpp"
 
 namespace clampd::rt {
 
@@ -35,6 +36,7 @@ struct SupervisorSettings {
   std::uint64_t lost_samples_tolerated = 0;          ///< within one check's trajectories
 
   double force_limit_N = 33e3;
+  double force_ceiling_N = 36e3;  ///< no exemption lifts this one
   double speed_limit_rad_s = 350.0;
   double torque_limit_Nm = 3.1;     ///< measured; commands are limited to it too
   double travel_limit_rad = 120.0;  ///< from where the check started
@@ -45,7 +47,10 @@ struct SupervisorSettings {
   double plausible_force_N = 60e3;  ///< magnitude beyond which a reading is a defect
   double plausible_velocity_rad_s = 1000.0;
   double plausible_torque_Nm = 20.0;
-  double plausible_jump_rad = 1.0;  ///< position step against velocity, per sample
+  double plausible_jump_rad = 1.0;  ///< position step against velocity, per sample, outside of a check
+
+  NominalDrive drive;          ///< of the product: what its readings are compared by
+  ReadingTolerances readings;  ///< against each other, in a check
 
   std::uint64_t skipped_in_a_row_tolerated = 2;
   std::uint64_t skipped_per_check_tolerated = 5;
@@ -55,6 +60,21 @@ struct SupervisorSettings {
 
   /// Error: a threshold that is not positive and finite, or an empty plausible range; the message names it.
   Result<void> validate() const;
+};
+
+/// How many good samples came in a row. It stops counting where nobody asks any more: an idle station counts
+/// for months, and would overflow 32 bits after 24.9 days.
+class GoodRow {
+ public:
+  static constexpr int kMost = 1'000'000;
+  CLAMPD_REALTIME void add() noexcept {
+    if (count_ < kMost) ++count_;
+  }
+  CLAMPD_REALTIME void restart() noexcept { count_ = 0; }
+  CLAMPD_REALTIME int count() const noexcept { return count_; }
+
+ private:
+  int count_ = 0;
 };
 
 /// What the supervisor learns at the beginning of a tick.
@@ -77,12 +97,12 @@ class Supervisor {
  public:
   /// `policy` must outlive the supervisor.
   explicit Supervisor(const SupervisorSettings& settings, const Policy& policy = kPolicy) noexcept
-      : settings_(settings), policy_(&policy) {}
+      : settings_(settings), policy_(&policy), monitor_(settings.readings, settings.drive) {}
 
   CLAMPD_REALTIME void begin_tick(const TickInputs& inputs) noexcept;
   CLAMPD_REALTIME void observe(const BrakeFeedback& feedback) noexcept;
-  /// Where the check stands after its step on the sample just observed.
-  CLAMPD_REALTIME void follow(CheckPhase phase, bool done) noexcept;
+  /// Where the check stands after its step on the sample just observed, and what it knows of the brake.
+  CLAMPD_REALTIME void follow(CheckPhase phase, bool done, const ReadingContext& context) noexcept;
   CLAMPD_REALTIME void end_samples() noexcept;
   CLAMPD_REALTIME void sent(bool handed_over, double torque_Nm) noexcept;
 
@@ -119,7 +139,9 @@ class Supervisor {
   void latch(FaultCause cause) noexcept;
   void check_link(const PortHealth& health) noexcept;
   void check_stream(const BrakeFeedback& feedback) noexcept;
+  void check_drive(const BrakeFeedback& feedback) noexcept;
   void check_limits(const BrakeFeedback& feedback) noexcept;
+  void check_readings(const BrakeFeedback& feedback) noexcept;
   bool plausible(const BrakeFeedback& feedback) const noexcept;
   void advance(const BrakeFeedback& feedback) noexcept;
 
@@ -138,7 +160,7 @@ class Supervisor {
   std::int64_t last_trouble_ns_ = 0;  ///< a standing cause was seen, whatever the state
   FaultCause init_trouble_ = FaultCause::None;
   bool init_saw_sample_ = false;
-  int good_samples_ = 0;
+  GoodRow good_samples_;
 
   PortHealth last_health_;
   EventBudget corrupt_;
@@ -150,6 +172,8 @@ class Supervisor {
   bool has_previous_ = false;
   BrakeFeedback previous_;
   CheckPhase phase_ = CheckPhase::None;
+  ReadingContext context_;
+  ReadingMonitor monitor_;
 
   bool travel_known_ = false;
   double travel_origin_rad_ = 0.0;

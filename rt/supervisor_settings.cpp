@@ -5,6 +5,21 @@
 
 namespace clampd::rt {
 
+Result<void> ReadingTolerances::validate() const {
+  const struct {
+    const char* name;
+    double value;
+  } tolerances[] = {{"torque_Nm", torque_Nm},
+                    {"velocity_rad_s", velocity_rad_s},
+                    {"position_rad", position_rad},
+                    {"force_N", force_N}};
+  for (const auto& tolerance : tolerances)
+    if (!std::isfinite(tolerance.value) || tolerance.value <= 0.0)
+      return failure(std::string("supervisor settings: the tolerance of readings ") + tolerance.name +
+                     " must be positive; correct it in the station's configuration");
+  return {};
+}
+
 Result<void> SupervisorSettings::validate() const {
   const auto positive = [](double value) { return std::isfinite(value) && value > 0.0; };
   const struct {
@@ -12,13 +27,15 @@ Result<void> SupervisorSettings::validate() const {
     bool valid;
   } checks[] = {
       {"startup_timeout_ns", startup_timeout_ns > 0},
-      {"good_samples_to_idle", good_samples_to_idle > 0},
-      {"good_samples_to_run", good_samples_to_run > 0},
+      {"good_samples_to_idle", good_samples_to_idle > 0 && good_samples_to_idle <= GoodRow::kMost},
+      {"good_samples_to_run", good_samples_to_run > 0 && good_samples_to_run <= GoodRow::kMost},
       {"armed_timeout_ns", armed_timeout_ns > 0},
       {"stale_ns (more than one period)", stale_ns > kPeriod_ns},
       {"event_window_ns", event_window_ns > 0},
       {"clock_tolerance_ns", clock_tolerance_ns > 0},
       {"force_limit_N", positive(force_limit_N)},
+      {"force_ceiling_N (not below force_limit_N)",
+       positive(force_ceiling_N) && force_ceiling_N >= force_limit_N},
       {"speed_limit_rad_s", positive(speed_limit_rad_s)},
       {"torque_limit_Nm", positive(torque_limit_Nm)},
       {"travel_limit_rad", positive(travel_limit_rad)},
@@ -38,7 +55,7 @@ Result<void> SupervisorSettings::validate() const {
                      " must be positive and consistent; correct it in the station's configuration");
     }
   }
-  return {};
+  return readings.validate();
 }
 
 }  // namespace clampd::rt

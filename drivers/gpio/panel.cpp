@@ -103,9 +103,10 @@ Result<void> Panel::start() {
   return make_realtime(thread_, settings_.loop_priority - 1);
 }
 
-void Panel::show(bool concluding, std::optional<Verdict> last) noexcept {
-  concluding_ = concluding;
-  last_verdict_ = last ? static_cast<int>(*last) : -1;
+void Panel::show(const Outlook& outlook) noexcept {
+  concluding_ = outlook.concluding;
+  clamped_ = outlook.clamped;
+  last_verdict_ = outlook.last ? static_cast<int>(*outlook.last) : -1;
 }
 
 void Panel::read_forever() {
@@ -180,7 +181,7 @@ bool Panel::drive_lights(std::int64_t now_ns) noexcept {
   const int verdict = last_verdict_;
   const std::optional<Verdict> last =
       verdict < 0 ? std::nullopt : std::optional(static_cast<Verdict>(verdict));
-  const StackLight light = stack_light(sign_of(board().last_beat().state, concluding_, last));
+  const StackLight light = stack_light(sign_of(board().last_beat().state, {concluding_, last, clamped_}));
   const std::array lamps{light.red, light.amber, light.green};
   for (std::size_t k = 0; k < kLights.size(); ++k) {
     const std::size_t i = index(kLights[k]);
@@ -221,10 +222,12 @@ void Panel::publish(bool lost, std::int64_t now_ns) noexcept {
     interlocks.emergency_stop = !emergency_stop_.closed(now_ns);
     interlocks.fixture_open = has(LineRole::FixtureClosed) && !fixture_.closed(now_ns);
     if (has(LineRole::StartButton)) {
-      if (start_button_.pressed(now_ns)) start_pressed_ = true;
+      if (const std::optional<std::int64_t> pressed_ns = start_button_.pressed(now_ns))
+        start_press_.note(*pressed_ns);
       interlocks.start_button_stuck = start_button_.stuck();
     }
   }
+  if (interlocks.lost || interlocks.emergency_stop || interlocks.fixture_open) start_press_.block();
   const bool was_silent = published_ns_ > 0 && now_ns - published_ns_ > settings_.lost_after_ns;
   if (was_silent && !lost) trouble_ = 0;  // the loop has seen that, and no line is to blame
   published_ns_ = now_ns;

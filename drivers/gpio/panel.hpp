@@ -57,10 +57,13 @@ class Panel {
   /// Starts to read. Error: no right to real time.
   Result<void> start();
 
-  /// True once for every press of the start button.
-  bool take_start_press() noexcept { return start_pressed_.exchange(false); }
-  /// For the lights: the brake is done and the verdict not there yet; the last verdict, if any.
-  void show(bool concluding, std::optional<Verdict> last) noexcept;
+  /// Each press of the start button once, with its edge's stamp (CLOCK_MONOTONIC), unless it is too old by
+  /// now.
+  std::optional<StartPress::Press> take_start_press(std::int64_t now_ns) noexcept {
+    return start_press_.take(now_ns);
+  }
+  /// For the lights.
+  void show(const Outlook& outlook) noexcept;
 
   bool has(LineRole role) const noexcept { return settings_.line(role).used(); }
   std::string name(LineRole role) const { return describe(settings_.line(role), role); }
@@ -101,8 +104,9 @@ class Panel {
 
   std::thread thread_;
   std::atomic<bool> stop_{false};
-  std::atomic<bool> start_pressed_{false};
+  StartPress start_press_;
   std::atomic<bool> concluding_{false};
+  std::atomic<bool> clamped_{false};
   std::atomic<int> last_verdict_{-1};
   std::array<std::atomic<LineState>, kLineRoles> states_{};
   std::atomic<std::uint32_t> trouble_{

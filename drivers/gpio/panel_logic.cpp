@@ -10,15 +10,16 @@ namespace clampd::gpio {
 namespace {
 
 /// THE table of the stack light, indexed by Sign.
-constexpr std::array<StackLight, 8> kStackLights{{
-    {Lamp::Off, Lamp::Blink, Lamp::Off},   // Starting
-    {Lamp::Off, Lamp::Off, Lamp::On},      // Ready
-    {Lamp::Off, Lamp::On, Lamp::Off},      // Running
-    {Lamp::Off, Lamp::Blink, Lamp::Off},   // Concluding
-    {Lamp::Off, Lamp::Off, Lamp::On},      // Passed
-    {Lamp::On, Lamp::Off, Lamp::Off},      // Failed
-    {Lamp::Blink, Lamp::Off, Lamp::Off},   // Invalid: no verdict about the brake
-    {Lamp::Blink, Lamp::Blink, Lamp::Off}  // Fault
+constexpr std::array<StackLight, 9> kStackLights{{
+    {Lamp::Off, Lamp::Blink, Lamp::Off},    // Starting
+    {Lamp::Off, Lamp::Off, Lamp::On},       // Ready
+    {Lamp::Off, Lamp::On, Lamp::Off},       // Running
+    {Lamp::Off, Lamp::Blink, Lamp::Off},    // Concluding
+    {Lamp::Off, Lamp::Off, Lamp::On},       // Passed
+    {Lamp::On, Lamp::Off, Lamp::Off},       // Failed
+    {Lamp::Blink, Lamp::Off, Lamp::Off},    // Invalid: no verdict about the brake
+    {Lamp::Blink, Lamp::Blink, Lamp::Off},  // Fault
+    {Lamp::On, Lamp::Blink, Lamp::Off}      // Clamped: keep hands away, `clampctl open`
 }};
 
 }  // namespace
@@ -68,7 +69,7 @@ void Contact::settle(std::int64_t now_ns) noexcept {
   if (level_ != closed_ && now_ns - level_since_ns_ >= (level_ ? closing_ns_ : opening_ns_)) closed_ = level_;
 }
 
-bool StartButton::pressed(std::int64_t now_ns) noexcept {
+std::optional<std::int64_t> StartButton::pressed(std::int64_t now_ns) noexcept {
   const bool closed = contact_.closed(now_ns);
   const bool press = closed && !was_closed_ && known_;
   if (closed && !was_closed_) {
@@ -79,7 +80,7 @@ bool StartButton::pressed(std::int64_t now_ns) noexcept {
   if (!closed) stuck_ = false;
   known_ = true;
   was_closed_ = closed;
-  return press;
+  return press ? std::optional(contact_.since_ns()) : std::nullopt;
 }
 
 bool may_drive(StationState state) noexcept {
@@ -96,13 +97,14 @@ bool RelayGate::energised(const LoopBeat& beat, std::int64_t now_ns) noexcept {
   return moved_ && now_ns - ticked_ns_ < watchdog_ns_ && may_drive(beat.state);
 }
 
-Sign sign_of(StationState state, bool concluding, std::optional<Verdict> last) noexcept {
+Sign sign_of(StationState state, const Outlook& outlook) noexcept {
   if (state == StationState::Fault) return Sign::Fault;
   if (may_drive(state)) return Sign::Running;
-  if (concluding) return Sign::Concluding;
+  if (outlook.clamped) return Sign::Clamped;
+  if (outlook.concluding) return Sign::Concluding;
   if (state == StationState::Init) return Sign::Starting;
-  if (!last) return Sign::Ready;
-  switch (*last) {
+  if (!outlook.last) return Sign::Ready;
+  switch (*outlook.last) {
     case Verdict::Pass:
       return Sign::Passed;
     case Verdict::Fail:

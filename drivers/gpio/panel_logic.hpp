@@ -3,11 +3,13 @@
 // What the operator's panel means, without any line: time is an argument, so that tests run it in virtual
 // time.
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string_view>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/record/interlocks.hpp"
 #include "clampd/record/sample.hpp"
@@ -38,6 +40,8 @@ class Contact {
   /// The contact is `closed` from `stamp_ns` on; stamps that go back count as the latest one.
   void feed(bool closed, std::int64_t stamp_ns) noexcept;
   bool closed(std::int64_t now_ns) noexcept;
+  /// When the level came that was seen last.
+  std::int64_t since_ns() const noexcept { return level_since_ns_; }
 
  private:
   void settle(std::int64_t now_ns) noexcept;
@@ -58,8 +62,9 @@ class StartButton {
       : contact_(debounce_ns, debounce_ns), stuck_after_ns_(stuck_after_ns) {}
 
   void feed(bool closed, std::int64_t stamp_ns) noexcept { contact_.feed(closed, stamp_ns); }
-  /// True if it was pressed since the last call. Calls come in order of time, after the first feed().
-  bool pressed(std::int64_t now_ns) noexcept;
+  /// The stamp of its edge if it was pressed since the last call. Calls come in order of time, after the
+  /// first feed().
+  std::optional<std::int64_t> pressed(std::int64_t now_ns) noexcept;
   bool stuck() const noexcept { return stuck_; }
 
  private:
@@ -69,6 +74,33 @@ class StartButton {
   bool was_closed_ = false;
   bool stuck_ = false;
   std::int64_t closed_since_ns_ = 0;
+};
+
+/// A press that nobody took for longer is none: whoever pressed no longer expects the brake to move.
+inline constexpr std::int64_t kPressLife_ns = 200 * kNanosecondsPerMillisecond;
+
+/// The last press of the start button on its way from who sees it to who starts the check. Any thread.
+class StartPress {
+ public:
+  struct Press {
+    std::int64_t stamp_ns = 0;
+    bool blocked = false;  ///< by an interlock: it starts nothing
+  };
+
+  void note(std::int64_t stamp_ns) noexcept { word_ = stamp_ns << 1; }
+  /// An interlock stands against whatever was pressed until now.
+  void block() noexcept { word_.fetch_or(1); }
+  /// Each press once, while it lives.
+  std::optional<Press> take(std::int64_t now_ns) noexcept {
+    const std::int64_t word = word_.exchange(kNone);
+    const Press press{word >> 1, (word & 1) != 0};
+    if (word == kNone || now_ns - press.stamp_ns > kPressLife_ns) return std::nullopt;
+    return press;
+  }
+
+ private:
+  static constexpr std::int64_t kNone = -1;  // stays what it is when blocked
+  std::atomic<std::int64_t> word_{kNone};    // the stamp, and in the lowest bit whether it is blocked
 };
 
 /// The relay carries current only while a check may drive: ARMED, RUNNING, RELEASING. Not in IDLE, where
@@ -90,10 +122,26 @@ class RelayGate {
 };
 
 /// What the stack light tells.
-enum class Sign : std::uint8_t { Starting, Ready, Running, Concluding, Passed, Failed, Invalid, Fault };
+enum class Sign : std::uint8_t {
+  Starting,
+  Ready,
+  Running,
+  Concluding,
+  Passed,
+  Failed,
+  Invalid,
+  Fault,
+  Clamped
+};
 
-/// `concluding`: the brake is done, the verdict not yet; `last`: of the last check, if none came after it.
-Sign sign_of(StationState state, bool concluding, std::optional<Verdict> last) noexcept;
+/// What the lights show beside the state.
+struct Outlook {
+  bool concluding = false;      ///< the brake is done, the verdict not yet
+  std::optional<Verdict> last;  ///< of the last check, if none came after it
+  bool clamped = false;         ///< force stands on the brake though nothing drives it
+};
+
+Sign sign_of(StationState state, const Outlook& outlook) noexcept;
 
 enum class Lamp : std::uint8_t { Off, On, Blink };
 struct StackLight {

@@ -25,7 +25,7 @@ namespace clampd::gpio {
 namespace {
 
 constexpr int kPeriod_ms = 2;
-constexpr std::int64_t kReopenEvery_ns = 500 * kNanosecondsPerMillisecond;
+constexpr std::int64_t kReopenRelayEvery_ns = 500 * kNanosecondsPerMillisecond;
 
 /// The guard's whole life. It ends when the station's end of the lifeline is closed, by whatever death.
 void guard(Line line, const RelayGuard::Settings& settings, GuardedMemory& memory, int lifeline) {
@@ -44,7 +44,7 @@ void guard(Line line, const RelayGuard::Settings& settings, GuardedMemory& memor
     const bool station_gone = poll(&end, 1, kPeriod_ms) > 0;
     const std::int64_t now_ns = monotonic_now_ns();
     const bool wanted = gate.energised(memory.board.last_beat(), now_ns) && !station_gone;
-    if (!relay && now_ns - lost_ns > kReopenEvery_ns) {
+    if (!relay && now_ns - lost_ns > kReopenRelayEvery_ns) {
       lost_ns = now_ns;
       if (Result<Line> reopened = Line::open_output(settings.line, LineRole::EnableRelay, false)) {
         relay.emplace(std::move(*reopened));

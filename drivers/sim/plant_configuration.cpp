@@ -87,7 +87,7 @@ Result<ScriptedFault> read_fault(const std::string& path, const toml::table& tab
                         "impossible-values, silent",
                         where(path, node), text));
     } else if (name == "at_s" || name == "duration_s") {
-      if (!node.is_number())
+      if (!node.is_number() || !node.value<double>())  // nothing: a whole number beyond 2^53
         return failure(fmt::format("{}: fault.{} must be a number", where(path, node), name));
       (name == "at_s" ? fault.at_s : fault.duration_s) = *node.value<double>();
     } else {
@@ -99,6 +99,56 @@ Result<ScriptedFault> read_fault(const std::string& path, const toml::table& tab
   if (!(fault.at_s >= 0.0) || !(fault.duration_s > 0.0))
     return failure(fmt::format("{}: a [[fault]] needs at_s >= 0 and duration_s > 0", where(path, table)));
   return fault;
+}
+
+/// The enumerator with this name, or nothing; `known` gets the names of all.
+template <class Enum>
+std::optional<Enum> find_name(const toml::node& node, std::size_t count, std::string& known) {
+  std::optional<Enum> found;
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::string_view name = to_string(static_cast<Enum>(i));
+    known += (i > 0 ? ", " : "") + std::string(name);
+    if (node.value_or(std::string()) == name) found = static_cast<Enum>(i);
+  }
+  return found;
+}
+
+Result<SpoiledReading> read_spoil(const std::string& path, const toml::table& table) {
+  SpoiledReading spoiled;
+  std::optional<Reading> reading;
+  std::optional<Spoil> kind;
+  for (const auto& [key, node] : table) {
+    const std::string_view name = key.str();
+    std::string known;
+    if (name == "reading") {
+      reading = find_name<Reading>(node, kReadingCount, known);
+      if (!reading)
+        return failure(fmt::format("{}: spoil.reading must be one of: {}", where(path, node), known));
+    } else if (name == "kind") {
+      kind = find_name<Spoil>(node, kSpoilCount, known);
+      if (!kind) return failure(fmt::format("{}: spoil.kind must be one of: {}", where(path, node), known));
+    } else if (name == "amount" || name == "at_s" || name == "duration_s") {
+      if (!node.is_number())
+        return failure(fmt::format("{}: spoil.{} must be a number", where(path, node), name));
+      (name == "amount" ? spoiled.amount
+       : name == "at_s" ? spoiled.at_s
+                        : spoiled.duration_s) = *node.value<double>();
+    } else {
+      return failure(
+          fmt::format("{}: unknown key spoil.{}; known are: reading, kind, amount, at_s, duration_s",
+                      where(path, node), name));
+    }
+  }
+  if (!reading || !kind)
+    return failure(fmt::format("{}: a [[spoil]] needs a reading and a kind", where(path, table)));
+  spoiled.reading = *reading;
+  spoiled.spoil = *kind;
+  if (!spoiled.valid())
+    return failure(
+        fmt::format("{}: a [[spoil]] needs at_s >= 0, duration_s > 0, and an amount that its kind "
+                    "can have (late: 1 to {} samples; noisy: not negative)",
+                    where(path, table), kLatest));
+  return spoiled;
 }
 
 Result<void> read_tables(const std::string& path, const toml::table& root,
@@ -118,18 +168,29 @@ Result<void> read_tables(const std::string& path, const toml::table& root,
       }
       continue;
     }
+    if (table_name == "spoil") {
+      const toml::array* list = node.as_array();
+      if (!list || !list->is_array_of_tables())
+        return failure(fmt::format("{}: spoiled readings are written as [[spoil]]", where(path, node)));
+      for (const toml::node& element : *list) {
+        const Result<SpoiledReading> spoiled = read_spoil(path, *element.as_table());
+        if (!spoiled) return tl::unexpected(spoiled.error());
+        configuration.spoiled.push_back(*spoiled);
+      }
+      continue;
+    }
     const toml::table* table = node.as_table();
     if (!table || (table_name != "plant" && table_name != "sensors" && table_name != "effects"))
       return failure(
           fmt::format("{}: unknown entry '{}'; known are [parameters] or [parameters_normalised], [fixed], "
-                      "[plant], [sensors], [effects] and [[fault]]",
+                      "[plant], [sensors], [effects], [[fault]] and [[spoil]]",
                       where(path, node), table_name));
     for (const auto& [key, value] : *table) {
       Result<void> read;
       if (table_name == "sensors") {
         read = read_key(path, table_name, key.str(), value, kSensorKeys, configuration.sensors);
       } else if (table_name == "effects") {
-        if (!value.is_number())
+        if (!value.is_number() || !value.value<double>())
           return failure(fmt::format("{}: effects.{} must be a number", where(path, value), key.str()));
         read = set_effect(configuration.effects, key.str(), *value.value<double>());
         if (!read) return failure(fmt::format("{}: {}", where(path, value), read.error().message));
@@ -178,6 +239,8 @@ Result<void> PlantConfiguration::validate() const {
     if (auto result = check(key.name, sensors.*key.member, key.lower, key.upper); !result) return result;
   for (const auto& key : kPlantKeys)
     if (auto result = check(key.name, this->*key.member, key.lower, key.upper); !result) return result;
+  for (const SpoiledReading& reading : spoiled)
+    if (!reading.valid()) return failure("a spoiled reading has a time or an amount that it cannot have");
   if (clearance_rad > open_stop_rad || -clearance_rad > closed_stop_rad)
     return failure(
         fmt::format("clearance_rad = {} starts the brake beyond its end stops (open_stop_rad = {}, "

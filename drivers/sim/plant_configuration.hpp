@@ -8,6 +8,7 @@
 #include "clampd/base/result.hpp"
 #include "clampd/brake/parameters.hpp"
 #include "drivers/sim/effects.hpp"
+#include "drivers/sim/spoiling.hpp"
 
 namespace clampd::sim {
 
@@ -52,6 +53,7 @@ struct PlantConfiguration {
   double watchdog_s = 0.020;      ///< without a valid command, torque is zero by then
   double step_s = 20e-6;          ///< of the integrator, at most 20 us
   std::vector<ScriptedFault> faults;
+  std::vector<SpoiledReading> spoiled;
 
   bool fault_active(FaultKind kind, double time_s) const noexcept;
 
@@ -60,9 +62,9 @@ struct PlantConfiguration {
 };
 
 /// Reads [parameters] or [parameters_normalised] and [fixed] (as `read_brake_parameters`), [plant],
-/// [sensors], [effects] (name = value) and [[fault]] (kind, at_s, duration_s). What is not named keeps its
-/// value in `base`, except that the brake's parameters start from nominal; an unknown table or key is an
-/// error that names file and line.
+/// [sensors], [effects] (name = value), [[fault]] (kind, at_s, duration_s) and [[spoil]] (reading, kind,
+/// amount, at_s, duration_s). What is not named keeps its value in `base`, except that the brake's parameters
+/// start from nominal; an unknown table or key is an error that names file and line.
 Result<PlantConfiguration> read_plant_configuration(const std::string& path,
                                                     const PlantConfiguration& base = {});
 

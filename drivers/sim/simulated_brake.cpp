@@ -25,6 +25,7 @@ double lagged(double value, double before, double after, double lag_s, double h)
 SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration)
     : configuration_(configuration),
       random_(configuration.seed),
+      spoiler_(configuration.spoiled, configuration.seed + 1),
       steps_(static_cast<int>(std::ceil(kPeriod_s / configuration.step_s - 1e-9))) {
   CLAMPD_ASSERT(configuration.validate().has_value());
   state_.position_rad = -configuration.clearance_rad;
@@ -109,6 +110,8 @@ BrakeFeedback SimulatedBrake::read() noexcept {
   feedback.position_rad = quantised(position_rad, sensors.position_quantum_rad);
   feedback.drive_enabled = enabled_;
   feedback.watchdog_tripped = tripped_;
+  unspoiled_ = feedback;
+  spoiler_.apply(feedback, time_s);
   return feedback;
 }
 

@@ -7,6 +7,7 @@
 
 #include "clampd/record/brake_port.hpp"
 #include "drivers/sim/plant_configuration.hpp"
+#include "drivers/sim/spoiling.hpp"
 
 namespace clampd::sim {
 
@@ -43,6 +44,8 @@ class SimulatedBrake {
   BrakeFeedback sample() noexcept;
 
   const Truth& truth() const noexcept { return truth_; }
+  /// The last sample as it would have been had nothing spoiled it.
+  const BrakeFeedback& unspoiled() const noexcept { return unspoiled_; }
   const PlantConfiguration& configuration() const noexcept { return configuration_; }
 
   /// Tells which run comes next (0, 1, ...), for what changes from run to run (friction-drift).
@@ -74,6 +77,8 @@ class SimulatedBrake {
   PlantConfiguration configuration_;
   std::mt19937_64 random_;
   std::normal_distribution<double> normal_{0.0, 1.0};
+  Spoiler spoiler_;
+  BrakeFeedback unspoiled_;
   State state_;
   Truth truth_;
   TorqueCommand newest_;

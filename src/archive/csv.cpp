@@ -9,16 +9,30 @@
 namespace clampd {
 namespace {
 
-std::string cell(std::string text) {
-  if (!text.empty() && std::string_view("=+-@\t\r").find(text.front()) != std::string_view::npos)
-    text.insert(0, 1, '\'');
-  if (text.find_first_of(",\"\r\n") == std::string::npos) return text;
+bool begins_formula(char c) {
+  return std::string_view("=+-@\t\r").find(c) != std::string_view::npos;
+}
+
+/// An apostrophe before everything that a spreadsheet would run: at the beginning, and after a semicolon,
+/// which separates cells where the decimal separator is a comma, whether the text is quoted or not.
+std::string without_formulas(const std::string& text) {
+  std::string safe;
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    if (begins_formula(text[i]) && (i == 0 || text[i - 1] == ';')) safe += '\'';
+    safe += text[i];
+  }
+  return safe;
+}
+
+std::string cell(const std::string& unsafe) {
+  const std::string text = without_formulas(unsafe);
+  if (text.find_first_of(",;\"\r\n") == std::string::npos) return text;
   std::string quoted = "\"";
   for (const char c : text) quoted += c == '"' ? "\"\"" : std::string(1, c);
   return quoted + '"';
 }
 
-std::string number(double value) {
+std::string csv_number(double value) {
   return std::isfinite(value) ? fmt::format("{:.10g}", value) : "";
 }
 
@@ -46,6 +60,7 @@ std::string format_csv(const std::vector<CheckRecord>& checks) {
     for (const char* column : {"", " sd", " lower", " upper"})
       text += "," + cell(fmt::format("{}{} [{}]", name, column, unit));
   for (const auto& [name, unit] : names) text += "," + cell(name + " verdict");
+  text += ",void";
   text += "\r\n";
   for (const CheckRecord& c : checks) {
     std::string cause;
@@ -65,18 +80,18 @@ std::string format_csv(const std::vector<CheckRecord>& checks) {
                                  c.simulated ? "1" : "0",
                                  c.started,
                                  c.stopped,
-                                 number(c.duration_s),
+                                 csv_number(c.duration_s),
                                  std::to_string(c.repeats),
                                  std::string(to_string(c.verdict)),
                                  c.marginal ? "1" : "0",
                                  c.reason,
                                  std::string(to_string(c.fault)),
                                  cause};
-    for (std::string& field : row) field = cell(std::move(field));
+    for (std::string& field : row) field = cell(field);
     for (const double value :
          {c.tracking_rms_N, static_cast<double>(c.timing.ticks), static_cast<double>(c.timing.skipped),
           static_cast<double>(c.timing.lost_samples), c.timing.lateness_max_us})
-      row.push_back(number(value));
+      row.push_back(csv_number(value));
     std::vector<std::string> verdicts;
     for (const auto& [name, unit] : names) {
       const auto found = std::find_if(c.parameters.begin(), c.parameters.end(),
@@ -86,10 +101,11 @@ std::string format_csv(const std::vector<CheckRecord>& checks) {
       const bool has = found != c.parameters.end();
       for (const double ParameterRecord::*member :
            {&ParameterRecord::value, &ParameterRecord::sd, &ParameterRecord::lower, &ParameterRecord::upper})
-        row.push_back(has ? number((*found).*member) : "");
+        row.push_back(has ? csv_number((*found).*member) : "");
       verdicts.push_back(has ? std::string(to_string(found->verdict)) : "");
     }
     row.insert(row.end(), verdicts.begin(), verdicts.end());
+    row.push_back(c.voided ? cell(c.voided->reason) : "");
     text += fmt::format("{}\r\n", fmt::join(row, ","));
   }
   return text;

@@ -2,27 +2,63 @@
 
 // What the store's files share: its database, how rows are bound and read, and what SQLite's errors mean.
 
+#include <sys/types.h>
+
 #include <cmath>
 #include <concepts>
 #include <cstdint>
 #include <limits>
+#include <optional>
+#include <stdexcept>
 #include <string>
 #include <type_traits>
+#include <utility>
 
 #include <SQLiteCpp/SQLiteCpp.h>
 #include <fmt/format.h>
 #include <sqlite3.h>
 
 #include "clampd/archive/store.hpp"
+#include "clampd/record/text.hpp"
 
 namespace clampd {
+
+namespace sql {
+
+/// Which file a path leads to.
+struct FileIdentity {
+  dev_t device = 0;
+  ino_t inode = 0;
+
+  bool operator==(const FileIdentity&) const = default;
+};
+
+/// Nothing if there is no file.
+std::optional<FileIdentity> identity_of(const std::string& path);
+
+}  // namespace sql
 
 struct CheckStore::Database {
   std::string path;
   SQLite::Database handle;
+  std::optional<sql::FileIdentity> file =
+      {};  ///< of the database and of its write-ahead log when it was opened
+  std::optional<sql::FileIdentity> log = {};
+  std::string unconfirmed =
+      {};  ///< id of a check that was committed to a file that was not in its place any more
+
+  void remember_files();
+  /// Whether what is saved now is still found under `path` later.
+  Result<void> in_place() const;
 };
 
 namespace sql {
+
+/// Something stored that clampd cannot have written.
+class Damaged : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
 
 inline tl::unexpected<Error> explained(const std::string& path, const SQLite::Exception& error) {
   const char* advice = "";
@@ -33,7 +69,9 @@ inline tl::unexpected<Error> explained(const std::string& path, const SQLite::Ex
       break;
     case SQLITE_NOTADB:
     case SQLITE_CORRUPT:
-      advice = "; it is damaged or no database of results: move it away or restore a copy";
+      advice =
+          "; it is damaged or no database of results: `clampctl records verify` names what is damaged, "
+          "`clampctl records restore` brings a backup back";
       break;
     case SQLITE_READONLY:
     case SQLITE_PERM:
@@ -69,6 +107,11 @@ inline double number(const SQLite::Column& column) {
   return column.isNull() ? std::numeric_limits<double>::quiet_NaN() : column.getDouble();
 }
 
+/// Bytes that are no text.
+struct Blob {
+  std::string bytes;
+};
+
 /// Binds values in the order of a statement's question marks.
 class Row {
  public:
@@ -81,6 +124,10 @@ class Row {
   }
   Row& operator<<(const std::string& value) {
     statement_.bind(++index_, value);
+    return *this;
+  }
+  Row& operator<<(const Blob& value) {
+    statement_.bind(++index_, value.bytes.data(), static_cast<int>(value.bytes.size()));
     return *this;
   }
   template <std::integral T>
@@ -105,30 +152,62 @@ class Row {
   int index_ = 0;
 };
 
-/// Takes the columns of a row in their order.
+/// Takes the columns of a row in their order. What its type cannot hold is Damaged; bytes that are no UTF-8
+/// are replaced by marks, so that no table, report or JSON document fails on them.
 class Columns {
  public:
   explicit Columns(SQLite::Statement& statement) : statement_(statement) {}
 
   Columns& operator>>(double& value) {
-    value = number(statement_.getColumn(index_++));
+    value = number(next());
     return *this;
   }
   Columns& operator>>(std::string& value) {
-    value = statement_.getColumn(index_++).getString();
+    value = with_replacement_marks(next().getString());
+    return *this;
+  }
+  Columns& operator>>(Blob& value) {
+    const SQLite::Column column = next();
+    value.bytes.assign(static_cast<const char*>(column.getBlob()),
+                       static_cast<std::size_t>(column.getBytes()));
     return *this;
   }
   Columns& operator>>(bool& value) {
-    value = statement_.getColumn(index_++).getInt() != 0;
+    value = whole_number(0, 1) != 0;
     return *this;
   }
+  template <std::integral T>
+  Columns& operator>>(T& value) {
+    constexpr auto kLargest = std::numeric_limits<T>::max();
+    value = static_cast<T>(whole_number(static_cast<std::int64_t>(std::numeric_limits<T>::min()),
+                                        std::in_range<std::int64_t>(kLargest)
+                                            ? static_cast<std::int64_t>(kLargest)
+                                            : std::numeric_limits<std::int64_t>::max()));
+    return *this;
+  }
+  /// An enumeration whose to_string() answers "?" to what it does not have.
   template <class T>
-  requires(std::integral<T> || std::is_enum_v<T>) Columns& operator>>(T& value) {
-    value = static_cast<T>(statement_.getColumn(index_++).getInt64());
+  requires std::is_enum_v<T> Columns& operator>>(T& value) {
+    const std::int64_t stored = whole_number(0, std::numeric_limits<std::underlying_type_t<T>>::max());
+    value = static_cast<T>(stored);
+    if (to_string(value) == "?") refuse(stored);
     return *this;
   }
 
  private:
+  SQLite::Column next() { return statement_.getColumn(index_++); }
+
+  std::int64_t whole_number(std::int64_t least, std::int64_t most) {
+    const std::int64_t stored = next().getInt64();
+    if (stored < least || stored > most) refuse(stored);
+    return stored;
+  }
+
+  [[noreturn]] void refuse(std::int64_t stored) {
+    throw Damaged(fmt::format("{} is {}, which clampd never writes",
+                              statement_.getColumn(index_ - 1).getName(), stored));
+  }
+
   SQLite::Statement& statement_;
   int index_ = 0;
 };

@@ -50,6 +50,11 @@ class Lines {
   std::string text_;
 };
 
+/// Whether a line takes it whole.
+bool fits(const std::string& text) {
+  return field_text(text).size() < kLongestText;
+}
+
 /// 2026-11-20T23:41:07.123Z as 20.11.2026/23:41:07
 std::string time_stamp(const std::string& started) {
   if (started.size() < 19) return "";
@@ -87,6 +92,13 @@ std::size_t decimals(const ParameterRecord& p) {
 bool same_characteristic(const ParameterRecord& a, const ParameterRecord& b) {
   const auto same = [](double x, double y) { return x == y || (std::isnan(x) && std::isnan(y)); };
   return a.name == b.name && a.unit == b.unit && same(a.lower, b.lower) && same(a.upper, b.upper);
+}
+
+std::string value_set_remark(const CheckRecord& check, bool with_names) {
+  std::string text = fmt::format("{}{}{} {}", to_string(check.verdict), check.marginal ? " (marginal)" : "",
+                                 check.voided ? " VOID" : "", check.id);
+  if (with_names) text += fmt::format("; operator {}; station {}", check.operator_name, check.station);
+  return text;
 }
 
 tl::unexpected<Error> differs(const CheckRecord& first, const CheckRecord& other, std::string_view what) {
@@ -139,11 +151,16 @@ Result<std::string> format_dfq(const std::vector<CheckRecord>& checks,
   lines.field("K1002", "Electromechanical brake, identified parameters");
   lines.field("K1081", first.station);
   if (fixtures.size() == 1) lines.field("K1086", *fixtures.begin());
-  lines.field("K1900", fmt::format("K0004 is UTC; {}; {}{}", operators.description("K0008 operator:"),
-                                   stations.description("K0010 station:"),
-                                   simulated == 0               ? ""
-                                   : simulated == sorted.size() ? "; all brakes simulated"
-                                                                : "; some brakes simulated"));
+  const char* brakes = simulated == 0               ? ""
+                       : simulated == sorted.size() ? "; all brakes simulated"
+                                                    : "; some brakes simulated";
+  std::string remark = fmt::format("K0004 is UTC; {}; {}{}", operators.description("K0008 operator:"),
+                                   stations.description("K0010 station:"), brakes);
+  const bool listed = fits(remark);
+  if (!listed)
+    remark = fmt::format("K0004 is UTC; K0009 names what K0008 (operator) and K0010 (station) stand for{}",
+                         brakes);
+  lines.field("K1900", remark);
   for (std::size_t i = 0; i < first.parameters.size(); ++i) {
     const ParameterRecord& p = first.parameters[i];
     const auto key = [&](const char* name) { return fmt::format("{}/{}", name, i + 1); };
@@ -160,15 +177,14 @@ Result<std::string> format_dfq(const std::vector<CheckRecord>& checks,
   for (const CheckRecord* check : sorted) {
     for (std::size_t i = 0; i < first.parameters.size(); ++i) {
       const double value = i < check->parameters.size() ? check->parameters[i].value : NAN;
-      const bool valid = is_about_the_brake(check->verdict) && std::isfinite(value);
+      const bool valid = is_about_the_brake(check->verdict) && !check->voided && std::isfinite(value);
       lines.number(fmt::format("K0001/{}", i + 1), valid ? value : 0.0);
       lines.integer(fmt::format("K0002/{}", i + 1), valid ? 0 : 255);
     }
     lines.field("K0004/0", time_stamp(check->started));
     lines.field("K0006/0", check->batch);
     lines.integer("K0008/0", operators.number_of(check->operator_name));
-    lines.field("K0009/0", fmt::format("{}{} {}", to_string(check->verdict),
-                                       check->marginal ? " (marginal)" : "", check->id));
+    lines.field("K0009/0", value_set_remark(*check, !listed));
     lines.integer("K0010/0", stations.number_of(check->station));
     lines.field("K0014/0", check->serial);
   }

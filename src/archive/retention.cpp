@@ -3,6 +3,7 @@
 
 #include "clampd/base/clock.hpp"
 #include "clampd/record/utc.hpp"
+#include "src/archive/amendments.hpp"
 #include "src/archive/database.hpp"
 
 namespace clampd {
@@ -42,9 +43,9 @@ class Waiting {
     std::vector<std::string> published;
     while (statement_.executeStep()) {
       std::string channel;
-      PublicationState state{};
+      int state = 0;
       sql::Columns(statement_) >> channel >> state;
-      if (state != PublicationState::Published) return channel;
+      if (state != static_cast<int>(PublicationState::Published)) return channel;
       published.push_back(std::move(channel));
     }
     for (const std::string& channel : channels_)
@@ -100,16 +101,19 @@ Result<RetentionSummary> CheckStore::plan_retention(const RetentionPolicy& polic
 Result<RetentionSummary> CheckStore::apply_retention(const RetentionPolicy& policy, std::int64_t now_utc_ns,
                                                      std::size_t checks_max) {
   SQLite::Database& handle = database_->handle;
+  if (const Result<void> there = database_->in_place(); !there) return tl::unexpected(there.error());
   try {
     SQLite::Transaction transaction(handle, SQLite::TransactionBehavior::IMMEDIATE);
     RetentionSummary summary = plan(handle, policy, now_utc_ns, checks_max);
-    SQLite::Statement remove(handle,
-                             "UPDATE runs SET csv = '', removed = ? WHERE check_id = ? AND removed = ''");
+    SQLite::Statement remove(
+        handle, "UPDATE runs SET csv = '', data = NULL, removed = ? WHERE check_id = ? AND removed = ''");
+    const std::string now = format_utc(now_utc_ns);
     for (const std::string& id : summary.checks) {
       remove.reset();
-      remove.bind(1, format_utc(now_utc_ns));
+      remove.bind(1, now);
       remove.bind(2, id);
       remove.exec();
+      amend(handle, id, kRunsRemoved, now, "");
     }
     transaction.commit();
     return summary;

@@ -160,6 +160,11 @@ std::string format_check(const CheckRecord& record, bool colour) {
   text += colour ? fmt::format("  {}   {}   {}\n", colour_of(record.verdict), word, kReset)
                  : fmt::format("  =====  {}  =====\n", word);
   text += wrapped(record.reason, "  ") + '\n';
+  if (record.voided)
+    text += wrapped(fmt::format("VOID since {}, by {}: {}", record.voided->when, record.voided->by,
+                                record.voided->reason),
+                    "  ") +
+            '\n';
 
   append_parameters(text, record, colour);
   append_runs(text, record);
@@ -179,10 +184,11 @@ std::string format_checks(const std::vector<CheckSummary>& checks, bool colour) 
       painted(fmt::format("{:<28} {:<16} {:<18} {}", "record", "serial", "verdict", "reason"), kBold, colour);
   text += '\n';
   for (const CheckSummary& check : checks) {
-    const std::string word = verdict_word(check.verdict, check.marginal);
+    const std::string word = verdict_word(check.verdict, check.marginal) + (check.is_void ? " VOID" : "");
     text += fmt::format("{:<28} {:<16} {} {}\n", check.id, shortened(check.serial, 16),
                         painted(fmt::format("{:<18}", word),
-                                check.verdict == Verdict::Pass   ? "\033[32m"
+                                check.is_void                    ? "\033[2m"
+                                : check.verdict == Verdict::Pass ? "\033[32m"
                                 : check.verdict == Verdict::Fail ? "\033[1;31m"
                                                                  : "\033[33m",
                                 colour),

@@ -5,23 +5,20 @@
 
 #include "clampd/brake/extended_brake.hpp"
 #include "clampd/record/file.hpp"
+#include "src/brake/toml_location.hpp"
 
 namespace clampd {
 
 namespace {
 
-std::string at(const std::string& path, const toml::node& node) {
-  return fmt::format("{}:{}", path, node.source().begin.line);
-}
-
 Result<EffectValues> read_effect(const std::string& path, const toml::table& table) {
   const auto name = table["name"].value<std::string>();
-  if (!name) return failure(fmt::format("{}: an [[effect]] needs a name", at(path, table)));
+  if (!name) return failure(fmt::format("{}: an [[effect]] needs a name", location_of(path, table)));
   const Effect* effect = find_effect(*name);
   if (effect == nullptr) {
     std::string known;
     for (const Effect* other : effects()) known += fmt::format(" {}", info_of(*other).name);
-    return failure(fmt::format("{}: there is no effect \"{}\"; known are{}", at(path, table), *name, known));
+    return failure(fmt::format("{}: there is no effect \"{}\"; known are{}", location_of(path, table), *name, known));
   }
   const EffectInfo& info = info_of(*effect);
   for (const auto& [key, node] : table) {
@@ -29,7 +26,7 @@ Result<EffectValues> read_effect(const std::string& path, const toml::table& tab
     const bool known = found == "name" || std::any_of(info.parameters.begin(), info.parameters.end(),
                                                       [&](const auto& p) { return p.name == found; });
     if (!known)
-      return failure(fmt::format("{}: effect {} has no parameter \"{}\"", at(path, node), *name, found));
+      return failure(fmt::format("{}: effect {} has no parameter \"{}\"", location_of(path, node), *name, found));
   }
   EffectValues values{effect, {}};
   for (const EffectParameter& parameter : info.parameters) {
@@ -40,11 +37,11 @@ Result<EffectValues> read_effect(const std::string& path, const toml::table& tab
       continue;
     }
     if (node == nullptr)
-      return failure(fmt::format("{}: effect {} lacks its parameter {} ({})", at(path, table), *name,
+      return failure(fmt::format("{}: effect {} lacks its parameter {} ({})", location_of(path, table), *name,
                                  parameter.name, in_words(parameter)));
     const auto value = node->value<double>();
     if (!value || !(*value >= parameter.lower && *value <= parameter.upper))
-      return failure(fmt::format("{}: {} of effect {} must be a number within {} ... {} {}", at(path, *node),
+      return failure(fmt::format("{}: {} of effect {} must be a number within {} ... {} {}", location_of(path, *node),
                                  parameter.name, *name, parameter.lower, parameter.upper, parameter.unit));
     values.values.push_back(*value);
   }
@@ -68,18 +65,18 @@ Result<ExtendedParameters> parse_extended_parameters(std::string_view text, cons
   if (node == nullptr) return parameters;
   const toml::array* tables = node->as_array();
   if (tables == nullptr)
-    return failure(fmt::format("{}: write each effect as a table [[effect]]", at(path, *node)));
+    return failure(fmt::format("{}: write each effect as a table [[effect]]", location_of(path, *node)));
   int states = 2;
   int count = static_cast<int>(kParameterCount);
   for (const toml::node& entry : *tables) {
     if (!entry.is_table())
-      return failure(fmt::format("{}: write each effect as a table [[effect]]", at(path, entry)));
+      return failure(fmt::format("{}: write each effect as a table [[effect]]", location_of(path, entry)));
     const auto effect = read_effect(path, *entry.as_table());
     if (!effect) return tl::unexpected(effect.error());
     states += info_of(*effect->effect).states;
     count += static_cast<int>(effect->values.size());
     if (states > ExtendedBrake::kMostStates || count > ExtendedBrake::kMostParameters)
-      return failure(fmt::format("{}: too many effects in one model", at(path, entry)));
+      return failure(fmt::format("{}: too many effects in one model", location_of(path, entry)));
     parameters.effects.push_back(*effect);
   }
   return parameters;

@@ -6,19 +6,16 @@
 #include <toml++/toml.h>
 
 #include "clampd/record/file.hpp"
+#include "src/brake/toml_location.hpp"
 
 namespace clampd {
 
 namespace {
 
-std::string at(const std::string& path, const toml::node& node) {
-  return fmt::format("{}:{}", path, node.source().begin.line);
-}
-
 Result<double> finite_number(const std::string& path, std::string_view key, const toml::node& node) {
   const auto value = node.value<double>();
   if (!value || !std::isfinite(*value))
-    return failure(fmt::format("{}: {} must be a finite number", at(path, node), key));
+    return failure(fmt::format("{}: {} must be a finite number", location_of(path, node), key));
   return *value;
 }
 
@@ -30,7 +27,7 @@ Result<void> read_parameters(const std::string& path, std::string_view table_nam
     if (!index) {
       std::string known;
       for (const auto& info : kParameterTable) known += (known.empty() ? "" : ", ") + std::string(info.name);
-      return failure(fmt::format("{}: [{}] has no parameter \"{}\"; known are {}", at(path, node), table_name,
+      return failure(fmt::format("{}: [{}] has no parameter \"{}\"; known are {}", location_of(path, node), table_name,
                                  key.str(), known));
     }
     const ParameterInfo& info = kParameterTable[*index];
@@ -38,7 +35,7 @@ Result<void> read_parameters(const std::string& path, std::string_view table_nam
     if (!number) return tl::unexpected(number.error());
     const double value = normalised ? *number * info.nominal : *number;
     if (value < info.lower || value > info.upper)
-      return failure(fmt::format("{}: {} = {} {} is outside of {} ... {}", at(path, node), info.name, value,
+      return failure(fmt::format("{}: {} = {} {} is outside of {} ... {}", location_of(path, node), info.name, value,
                                  info.unit, info.lower, info.upper));
     theta[static_cast<Eigen::Index>(*index)] = value;
   }
@@ -52,10 +49,10 @@ Result<void> read_fixed(const std::string& path, const toml::table& table, Fixed
     if (key.str() == "ratio_m_rad") target = &fixed.ratio_m_rad;
     if (target == nullptr)
       return failure(fmt::format("{}: [fixed] has no key \"{}\"; known are inertia_kg_m2, ratio_m_rad",
-                                 at(path, node), key.str()));
+                                 location_of(path, node), key.str()));
     const auto number = finite_number(path, key.str(), node);
     if (!number) return tl::unexpected(number.error());
-    if (*number <= 0.0) return failure(fmt::format("{}: {} must be positive", at(path, node), key.str()));
+    if (*number <= 0.0) return failure(fmt::format("{}: {} must be positive", location_of(path, node), key.str()));
     *target = *number;
   }
   return {};
@@ -97,7 +94,7 @@ Result<BrakeParameters> parse_brake_parameters(std::string_view text, const std:
     const toml::node* node = document.get(name);
     if (node == nullptr) return nullptr;
     if (!node->is_table())
-      return failure(fmt::format("{}: {} must be a table [{}]", at(path, *node), name, name));
+      return failure(fmt::format("{}: {} must be a table [{}]", location_of(path, *node), name, name));
     return node->as_table();
   };
   const auto physical = table_of("parameters");
@@ -111,7 +108,7 @@ Result<BrakeParameters> parse_brake_parameters(std::string_view text, const std:
     for (const auto& [key, node] : **normalised)
       if ((*physical)->contains(key.str()))
         return failure(fmt::format("{}: {} is given in [parameters] and in [parameters_normalised]; keep one",
-                                   at(path, node), key.str()));
+                                   location_of(path, node), key.str()));
   }
   if (*physical != nullptr)
     if (auto read = read_parameters(path, "parameters", **physical, false, parameters.theta); !read)

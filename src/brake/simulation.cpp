@@ -4,12 +4,12 @@
 #include <limits>
 
 #include "clampd/base/assert.hpp"
+#include "clampd/base/nan.hpp"
 
 namespace clampd {
 
 namespace {
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 }  // namespace
 

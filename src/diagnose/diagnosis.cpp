@@ -227,6 +227,7 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
   if (runs.empty())
     return failure("the drive was off in all runs (drive_enabled is 0): add runs in which the brake moves");
   const Progress progress(options);
+  const auto given_up = [&] { return options.given_up && options.given_up(); };
   progress(0.0, "fitting the base model");
 
   Hypothesis base;
@@ -251,6 +252,7 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
   selecting.most_effects = options.most_effects;
   selecting.false_alarm = options.false_alarm;
   selecting.progress = options.progress;
+  selecting.given_up = options.given_up;
   Selection selection{base, base, {}, {}};
   Residuals after = before;
   double explained = 0.0;
@@ -263,14 +265,15 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
   };
   const auto much_left = [&] { return something_left() && after.nats > kUnexplainedShare * explained; };
   bool lost = false;
-  while (!lost && add_effect(runs, selecting, selection)) {
+  while (!lost && !given_up() && add_effect(runs, selecting, selection)) {
     look_at_the_rest();
     const bool several = selection.effects.size() >= kSeveral;
     lost = after.nats > (several ? kLost : kLostAtOnce) * explained ||
            (several && is_torque_impossible(selection.chosen));
   }
   lost = lost || (selection.effects.size() >= kSeveral && much_left());
-  if (!lost && reconsider(runs, selecting, selection)) look_at_the_rest();
+  if (!lost && !given_up() && reconsider(runs, selecting, selection)) look_at_the_rest();
+  if (given_up()) return failure("the search was given up");
   // Where the base model got stuck, an effect may have explained no more than the way out.
   if (!selection.effects.empty() && is_stuck(base)) {
     const Hypothesis bare = without_any(selection.chosen, runs);

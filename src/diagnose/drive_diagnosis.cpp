@@ -7,6 +7,7 @@
 
 #include <fmt/format.h>
 
+#include "clampd/base/nan.hpp"
 #include "src/diagnose/drive_fitted.hpp"
 #include "src/diagnose/drive_residuals.hpp"
 #include "src/diagnose/drive_ripple.hpp"
@@ -17,7 +18,6 @@ namespace {
 
 using namespace drive;
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 struct UnseenReason {
   std::string_view name, reason;

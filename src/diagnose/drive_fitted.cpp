@@ -6,11 +6,12 @@
 
 #include <fmt/format.h>
 
+#include "clampd/base/nan.hpp"
+
 namespace clampd::drive {
 
 namespace {
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 }  // namespace
 

@@ -10,11 +10,12 @@
 #include <fmt/format.h>
 #include <boost/math/distributions/chi_squared.hpp>
 
+#include "clampd/base/nan.hpp"
+
 namespace clampd::drive {
 
 namespace {
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 /// Of the chance of a false alarm, what a misfit without a name may take.
 constexpr double kUnnamedShare = 0.1;
 

@@ -13,7 +13,7 @@ namespace clampd::drive {
 namespace {
 
 constexpr int kHighestOrder = 32;
-constexpr std::size_t kMostOrders = 6;
+constexpr std::size_t kMostRippleOrders = 6;
 constexpr int kBlocks = 12;
 constexpr double kLeastShare = 0.02;
 
@@ -138,7 +138,7 @@ SteadyRipple steady_ripple(std::span<const Run> runs, const DriveModel& model, d
   }
   result.tested = true;
   std::vector<int> used;
-  while (used.size() < kMostOrders) {
+  while (used.size() < kMostRippleOrders) {
     Trial best;
     int at = 0;
     for (int order = 1; order <= kHighestOrder; ++order) {

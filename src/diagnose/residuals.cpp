@@ -311,7 +311,20 @@ std::vector<Eigen::MatrixXd> columns_of(const Variable& variable) {
   return columns;
 }
 
-/// Rates of the readings: what a channel that comes too late or too early lacks.
+/// The torque read before each row: the newest that may explain a reading taken at that row. A controller may
+/// have computed the torque of the row itself from that very reading, its noise included.
+std::vector<Eigen::MatrixXd> previous_torque(std::span<const FitRun> runs) {
+  Variable torque{"torque", {}};
+  for (const FitRun& run : runs) {
+    std::vector<double> before(run.torque_Nm);
+    for (std::size_t k = 1; k < before.size(); ++k) before[k] = run.torque_Nm[k - 1];
+    torque.values.push_back(std::move(before));
+  }
+  return columns_of(torque);
+}
+
+/// Rates of the readings: what a channel that comes too late or too early lacks. Differences to the row
+/// before: what comes after a row was predicted, or commanded, from that row's readings.
 std::vector<Eigen::MatrixXd> rates_of(std::span<const FilteredRun> filtered, std::span<const FitRun> runs,
                                       SignalColumns::Kind kind) {
   std::vector<Eigen::MatrixXd> columns;
@@ -321,13 +334,9 @@ std::vector<Eigen::MatrixXd> rates_of(std::span<const FilteredRun> filtered, std
         : kind == SignalColumns::Kind::VelocityReading ? filtered[r].true_velocity_rad_s
                                                        : runs[r].torque_Nm;
     Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(signal.size()), 1);
-    for (std::size_t k = 1; k + 1 < signal.size(); ++k) {
-      // A prediction of what comes after a reading has used that reading, and a reading of torque is part of
-      // what it drives: neither may be compared with itself.
-      const std::size_t to = kind == SignalColumns::Kind::Torque ? k + 1 : k;
+    for (std::size_t k = 1; k < signal.size(); ++k)
       rows(static_cast<Eigen::Index>(k), 0) =
-          (signal[to] - signal[k - 1]) / (runs[r].time_s[to] - runs[r].time_s[k - 1]) * 1e-3;
-    }
+          (signal[k] - signal[k - 1]) / (runs[r].time_s[k] - runs[r].time_s[k - 1]) * 1e-3;
     columns.push_back(std::move(rows));
   }
   return columns;
@@ -485,7 +494,10 @@ Residuals examine(const Hypothesis& hypothesis) {
       if (variable.shape == Variable::Shape::Runs &&
           (variable.values.size() < 2 || variable.values.size() > 60))
         continue;
-      questions.push_back({kind, variable.name, location_of(kind, variable.name), columns_of(variable)});
+      // A torque acts from its row until the next one: what it drives is read after it.
+      const bool is_read_with_it = variable.name == "torque" && kind != Kind::Torque;
+      questions.push_back({kind, variable.name, location_of(kind, variable.name),
+                           is_read_with_it ? previous_torque(hypothesis.runs) : columns_of(variable)});
     }
     if (kind != Kind::Force)
       questions.push_back({kind, "rate", Location::Timing, rates_of(filtered, hypothesis.runs, kind)});

@@ -15,7 +15,7 @@ namespace {
 
 /// Of the candidates worth a fit: no more than these, and none that promises less than this share of the
 /// best.
-constexpr std::size_t kMostFits = 8;
+constexpr std::size_t kMostFirstFits = 8;
 constexpr std::size_t kMostLaterFits = 5;
 constexpr double kPromising = 0.2;
 /// A fit may bring more than one step promises, but hardly from nothing.
@@ -111,7 +111,7 @@ struct TakenOut {
 };
 
 /// What to judge the candidates by.
-struct Question {
+struct FitTask {
   const Hypothesis& hypothesis;  ///< beside which
   std::string words;             ///< for who waits
   double until = 0.0;            ///< share of the whole work that is done then
@@ -128,11 +128,11 @@ class Selector {
       : runs_(runs), options_(options), alarm_(alarm_level(options.false_alarm)) {}
 
   /// All candidates beside a hypothesis, the promising ones fitted, best first.
-  std::vector<Candidate> judge(const Question& question, double& share) {
+  std::vector<Candidate> judge(const FitTask& question, double& share) {
     const Hypothesis& hypothesis = question.hypothesis;
     const TakenOut* taken_out = question.taken_out;
     const std::size_t others = hypothesis.estimate.parameters.effects.size();
-    const std::size_t most_fits = others == 0 ? kMostFits : kMostLaterFits;
+    const std::size_t most_fits = others == 0 ? kMostFirstFits : kMostLaterFits;
     std::vector<const Effect*> tried;
     for (const Effect* effect : effects())
       if ((!has(hypothesis, *effect) || info_of(*effect).repeatable) && can_be_added(hypothesis, *effect))
@@ -162,6 +162,7 @@ class Selector {
         candidates[i].fitted = *question.begun;
     for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
       Candidate& candidate = candidates[worth[i]];
+      if (given_up()) return;
       if (is_itself(candidate))
         fit_from(taken_out->values, taken_out->others, hypothesis, candidate);
       else
@@ -176,7 +177,7 @@ class Selector {
     const double first = most();
     for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
       Candidate& candidate = candidates[worth[i]];
-      if (!is_itself(candidate) &&
+      if (!given_up() && !is_itself(candidate) &&
           (is_delay(candidate) || is_within_reach(candidate.gain, first, kWorthRefining)))
         refine(candidate, hypothesis, stuck);
     });
@@ -184,7 +185,7 @@ class Selector {
       const double fair = kFair * most();
       for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
         Candidate& candidate = candidates[worth[i]];
-        if (!is_itself(candidate) && candidate.fitted.possible() && candidate.gain > fair)
+        if (!given_up() && !is_itself(candidate) && candidate.fitted.possible() && candidate.gain > fair)
           fit_from(candidate.fitted.estimate.parameters.effects.back(), taken_out->others, hypothesis,
                    candidate);
       });
@@ -207,8 +208,9 @@ class Selector {
           candidates[i].evidence > kNearAlarm * alarm(others) &&
           is_within_reach(candidates[i].gain, reached, kLeading))
         leading.push_back(i);
-    for_each_index(leading.size(), hypothesis.threads,
-                   [&](std::size_t i) { finish(candidates[leading[i]], hypothesis); });
+    for_each_index(leading.size(), hypothesis.threads, [&](std::size_t i) {
+      if (!given_up()) finish(candidates[leading[i]], hypothesis);
+    });
     for (Candidate& candidate : candidates)
       if (candidate.is_fitted && candidate.fitted.possible() && has(hypothesis, *candidate.effect) &&
           !is_harmonic(candidate.fitted.estimate.parameters.effects.back(), hypothesis))
@@ -229,6 +231,7 @@ class Selector {
   void report(double share, const std::string& words) const {
     if (options_.progress) options_.progress(share, words);
   }
+  bool given_up() const { return options_.given_up && options_.given_up(); }
 
   std::span<const Run> runs_;
   const SelectionOptions& options_;
@@ -304,7 +307,7 @@ bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Sele
   double formed = 0.0;
   for (const Selected& selected : selection.effects)
     if (selected.name != kSpikes) formed += selected.gain;
-  Question question{.hypothesis = selection.chosen,
+  FitTask question{.hypothesis = selection.chosen,
                     .words = "trying every effect",
                     .until = selection.share + 0.5 * (0.95 - selection.share),
                     .material = kMaterial * formed};

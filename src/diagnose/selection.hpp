@@ -13,6 +13,7 @@ struct SelectionOptions {
   int most_effects = 4;
   double false_alarm = 0.005;
   std::function<void(double, const std::string&)> progress;
+  std::function<bool()> given_up;  ///< what is judged after that counts for nothing
 };
 
 /// Names within so many nats of evidence of the best are its rivals.

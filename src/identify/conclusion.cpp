@@ -9,6 +9,7 @@
 #include <Eigen/Cholesky>
 #include <boost/math/distributions/chi_squared.hpp>
 
+#include "clampd/base/nan.hpp"
 #include "clampd/identify/validation.hpp"
 #include "src/identify/uncertainty.hpp"
 
@@ -20,7 +21,6 @@ using identify::Held;
 using identify::kTheta;
 using identify::Uncertainty;
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// A standard deviation of so many times the nominal value: the runs say nothing about the parameter, and the
 /// linear covariance itself means nothing any more.

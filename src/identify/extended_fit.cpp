@@ -23,8 +23,8 @@ namespace identify {
 namespace {
 
 /// Gains and noise are renewed until the noise's standard deviations change by less than this share.
-constexpr double kNoiseTolerance = 0.01;
-constexpr double kNegligibleTorque = 1e-7;  // a variance
+constexpr double kExtendedNoiseTolerance = 0.01;
+constexpr double kNegligibleExtendedTorque = 1e-7;  // a variance
 constexpr int kMostRounds = 12;
 constexpr int kNoiseIterations = 6;
 /// After so many it is seen whether a fit is hopeless: further from where it is wanted than so many steps as
@@ -297,7 +297,7 @@ class ExtendedFit {
                                    kSmallestNoise.velocity_rad_s, 1.0);
       // The torque's noise shows through the readings' only: this rule's steps are then too small.
       variances.torque = renewed(variances.torque, sum.torque, sum.torque_expected, kSmallestTorque_Nm, 1.6);
-      if (change_between(before, variances, kNegligibleTorque) < 0.5 * kNoiseTolerance) break;
+      if (change_between(before, variances, kNegligibleExtendedTorque) < 0.5 * kExtendedNoiseTolerance) break;
     }
     invalidate();
     return variances;
@@ -586,11 +586,11 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
     double change = 0.0;
     if (options.estimate_noise) {
       const Variances found = fit.estimate_noise(variances, kNoiseIterations);
-      change = change_between(variances, found, kNegligibleTorque);
+      change = change_between(variances, found, kNegligibleExtendedTorque);
       variances = found;
     }
-    estimate.settled = descent.settled && change < kNoiseTolerance;
-    if (estimate.settled && round > 0 && !moved && change < 0.1 * kNoiseTolerance) break;
+    estimate.settled = descent.settled && change < kExtendedNoiseTolerance;
+    if (estimate.settled && round > 0 && !moved && change < 0.1 * kExtendedNoiseTolerance) break;
   }
   return estimate;
 }

@@ -12,6 +12,7 @@
 #include <boost/math/distributions/chi_squared.hpp>
 
 #include "clampd/base/assert.hpp"
+#include "clampd/base/nan.hpp"
 #include "clampd/identify/extended_fit.hpp"
 #include "clampd/identify/parameter_scores.hpp"
 #include "clampd/identify/prediction_error.hpp"
@@ -27,7 +28,6 @@ namespace {
 
 using Role = EffectParameter::Role;
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// As in conclude(): of the nominal value.
 constexpr double kUndetermined = 3.0;
@@ -35,7 +35,7 @@ constexpr double kRunsDiffer = 1e-3;
 constexpr std::size_t kFewestRunsForScatter = 8;
 
 /// Information, each parameter scaled to one of its own, below which a direction is not determined.
-constexpr double kSingular = 1e-11;
+constexpr double kSingularExtended = 1e-11;
 
 /// Further than this from its neutral value, in standard deviations, an effect is surely there.
 constexpr double kSurelyThere = 5.0;
@@ -257,7 +257,7 @@ class Precision {
         const Eigen::VectorXd scale = information.diagonal().cwiseSqrt();
         const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> spectrum(
             information.cwiseQuotient(scale * scale.transpose()));
-        if (spectrum.eigenvalues()[0] > kSingular) {
+        if (spectrum.eigenvalues()[0] > kSingularExtended) {
           const Eigen::MatrixXd directions = scale.cwiseInverse().asDiagonal() * spectrum.eigenvectors();
           covariance_ =
               directions * spectrum.eigenvalues().cwiseInverse().asDiagonal() * directions.transpose();

@@ -6,18 +6,19 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
+#include "clampd/base/nan.hpp"
 #include "src/identify/linear_run.hpp"
 
 namespace clampd {
 
 namespace {
 
-constexpr int kTheta = static_cast<int>(kParameterCount);
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// Smallest eigenvalue of the unit-diagonal information at which its inverse still has correct digits:
 /// sensitivities carry about ten.
-constexpr double kSingular = 1e-10;
+using identify::kTheta;
+
+constexpr double kSingularInformation = 1e-10;
 
 struct ScaledSpectrum {
   ParameterVector
@@ -33,7 +34,7 @@ ScaledSpectrum spectrum_of(const ParameterMatrix& information) {
   const ParameterVector inverse = spectrum.scale.cwiseInverse();
   spectrum.solver.compute(inverse.asDiagonal() * information * inverse.asDiagonal());
   spectrum.singular =
-      spectrum.solver.info() != Eigen::Success || !(spectrum.solver.eigenvalues()[0] > kSingular);
+      spectrum.solver.info() != Eigen::Success || !(spectrum.solver.eigenvalues()[0] > kSingularInformation);
   return spectrum;
 }
 

@@ -6,21 +6,21 @@
 
 #include <Eigen/LU>
 
+#include "clampd/base/nan.hpp"
 #include "src/identify/linear_run.hpp"
 
 namespace clampd {
 
 namespace {
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// Below this relative determinant a covariance has no inverse worth the name: the state is known exactly in
 /// some direction, as at the known start or while the brake sticks.
-constexpr double kSingular = 1e-12;
+constexpr double kSingularCovariance = 1e-12;
 
 Eigen::Matrix2d pseudo_inverse(const Eigen::Matrix2d& covariance) {
   const double determinant = covariance.determinant();
-  if (determinant > kSingular * covariance(0, 0) * covariance(1, 1)) return covariance.inverse();
+  if (determinant > kSingularCovariance * covariance(0, 0) * covariance(1, 1)) return covariance.inverse();
   Eigen::Matrix2d inverse = Eigen::Matrix2d::Zero();
   for (int i = 0; i < 2; ++i)
     if (covariance(i, i) > 0.0) inverse(i, i) = 1.0 / covariance(i, i);

@@ -15,7 +15,7 @@ std::optional<Method> parse_method(std::string_view name) noexcept {
   return std::nullopt;
 }
 
-Estimate identify(Method method, std::span<const Run> runs, const EstimatorOptions& options) {
+Estimate identify_brake(Method method, std::span<const Run> runs, const EstimatorOptions& options) {
   return method == Method::OutputError ? identify_output_error(runs, options)
                                        : identify_prediction_error(runs, options);
 }

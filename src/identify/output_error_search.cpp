@@ -11,9 +11,9 @@ namespace {
 
 /// R is re-estimated after each descent, until its variances change by less than this share: such a change of
 /// the weights costs far less than a hundredth of the estimate's efficiency.
-constexpr double kNoiseTolerance = 0.2;
-constexpr double kWeightTolerance = 0.02;
-constexpr int kUndampedRounds = 2;
+constexpr double kOutputErrorNoiseTolerance = 0.2;
+constexpr double kOutputErrorWeightTolerance = 0.02;
+constexpr int kOutputErrorUndampedRounds = 2;
 /// With weights that are far off, as of a model that does not fit, more would be spent on the wrong problem.
 constexpr int kFirstRoundIterations = 40;
 constexpr int kRoundIterations = 15;
@@ -64,10 +64,10 @@ OutputErrorAttempt OutputErrorSearch::attempt(const ParameterVector& theta) {
     used += std::max(1, descent.iterations);
     const Variances found = known_or(fit_.mean_squares());
     const double reweighted = fit_.update_weights();
-    const double share = 1.0 / std::max(1, round - kUndampedRounds);
+    const double share = 1.0 / std::max(1, round - kOutputErrorUndampedRounds);
     const double change = share * std::max(std::abs(found.force / result.weights.force - 1.0),
                                            std::abs(found.velocity / result.weights.velocity - 1.0));
-    result.settled = descent.settled && change < kNoiseTolerance && reweighted < kWeightTolerance;
+    result.settled = descent.settled && change < kOutputErrorNoiseTolerance && reweighted < kOutputErrorWeightTolerance;
     if (result.settled) break;
     // Where the model does not fit, weights and parameters can chase each other: then in ever smaller steps.
     result.weights.force *= std::pow(found.force / result.weights.force, share);

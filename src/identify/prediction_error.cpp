@@ -16,10 +16,10 @@ namespace {
 
 /// Gains and noise are renewed until the noise's standard deviations change by less than this share, which
 /// moves the parameters by far less than their uncertainty.
-constexpr double kNoiseTolerance = 0.02;
+constexpr double kPredictionErrorNoiseTolerance = 0.02;
 constexpr double kNegligibleTorque = 1e-8;  // a variance: lost in the noise of the readings
-constexpr double kWeightTolerance = 0.02;
-constexpr int kUndampedRounds = 3;
+constexpr double kPredictionErrorWeightTolerance = 0.02;
+constexpr int kPredictionErrorUndampedRounds = 3;
 constexpr double kMostTorque_Nm = 0.03;  // twice the paper's
 constexpr int kMostRounds = 20;
 
@@ -57,10 +57,10 @@ class PredictionErrorSearch {
                          result.variances, known_by(options_), kScoringIterations);
       result.criterion = found.criterion;
       result.white = found.white;
-      result.settled = descent.settled && reweighted < kWeightTolerance &&
-                       change_between(result.variances, found.variances, kNegligibleTorque) < kNoiseTolerance;
+      result.settled = descent.settled && reweighted < kPredictionErrorWeightTolerance &&
+                       change_between(result.variances, found.variances, kNegligibleTorque) < kPredictionErrorNoiseTolerance;
       // Kinks of the filter can make the two answer each other for ever: then in ever smaller steps.
-      const double share = 1.0 / std::max(1, round - kUndampedRounds);
+      const double share = 1.0 / std::max(1, round - kPredictionErrorUndampedRounds);
       const auto towards = [&](double from, double to) { return from * std::pow(to / from, share); };
       result.variances = {towards(result.variances.force, found.variances.force),
                           towards(result.variances.velocity, found.variances.velocity),

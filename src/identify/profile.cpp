@@ -38,7 +38,7 @@ Profile profile_likelihood(Parameter parameter, Method method, std::span<const R
   const auto fit_at = [&](double value, const ParameterVector& start) {
     held.start.theta = start;
     held.start.theta[index] = value;
-    return identify(method, runs, held);
+    return identify_brake(method, runs, held);
   };
   const Estimate centre = fit_at(estimate.parameters.theta[index], estimate.parameters.theta);
   Profile profile{.parameter = parameter, .points = {}};

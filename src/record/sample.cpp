@@ -90,6 +90,20 @@ std::string_view to_string(FaultCause cause) noexcept {
       return "interlock-lost";
     case FaultCause::StartButtonStuck:
       return "start-button-stuck";
+    case FaultCause::ForceReading:
+      return "force-reading";
+    case FaultCause::VelocityReading:
+      return "velocity-reading";
+    case FaultCause::PositionReading:
+      return "position-reading";
+    case FaultCause::TorqueReading:
+      return "torque-reading";
+    case FaultCause::TorqueAgainstMotion:
+      return "torque-against-motion";
+    case FaultCause::DeadlinePassed:
+      return "deadline-passed";
+    case FaultCause::StationEnded:
+      return "station-ended";
   }
   return "?";
 }

@@ -12,6 +12,10 @@
 namespace clampd {
 namespace {
 
+/// Nanoseconds since 1970 reach into 2262.
+constexpr int kFirstYear = 1970;
+constexpr int kLastYear = 2261;
+
 struct Moment {
   std::tm calendar{};
   int millisecond = 0;
@@ -19,9 +23,11 @@ struct Moment {
 
 Moment split(std::int64_t utc_ns) {
   Moment moment;
-  const std::time_t seconds = static_cast<std::time_t>(utc_ns / kNanosecondsPerSecond);
+  const std::chrono::nanoseconds time(utc_ns);
+  const auto second = std::chrono::floor<std::chrono::seconds>(time);  // also before 1970
+  const std::time_t seconds = static_cast<std::time_t>(second.count());
   ::gmtime_r(&seconds, &moment.calendar);
-  moment.millisecond = static_cast<int>(utc_ns % kNanosecondsPerSecond / kNanosecondsPerMillisecond);
+  moment.millisecond = static_cast<int>((time - second).count() / kNanosecondsPerMillisecond);
   return moment;
 }
 
@@ -48,7 +54,8 @@ std::optional<std::int64_t> parse_utc(const std::string& text) {
     return std::nullopt;
   using namespace std::chrono;
   const year_month_day date = std::chrono::year(year) / month / day;
-  if (!date.ok() || hour > 23 || minute > 59 || second > 60) return std::nullopt;
+  if (year < kFirstYear || year > kLastYear || !date.ok() || hour > 23 || minute > 59 || second > 60)
+    return std::nullopt;
   const auto time =
       sys_days(date) + hours(hour) + minutes(minute) + seconds(second) + milliseconds(millisecond);
   return nanoseconds(time.time_since_epoch()).count();

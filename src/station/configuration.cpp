@@ -2,6 +2,7 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cstdlib>
 #include <filesystem>
@@ -9,12 +10,16 @@
 #include <fmt/format.h>
 
 #include "clampd/record/file.hpp"
+#include "clampd/record/text.hpp"
 #include "src/station/table_reader.hpp"
 
 namespace clampd {
 namespace {
 
+constexpr const char* kSimulatedDatabase = "simulated.sqlite";
+
 constexpr double kSafeForce_N = 40'000.0;
+constexpr double kSafeCeiling_N = 44'000.0;
 constexpr double kSafeSpeed_rad_s = 500.0;
 constexpr double kSafeTorque_Nm = 10.0;
 
@@ -43,6 +48,19 @@ void read_instruments(TableReader& document, const std::string& file, std::optio
     if (instrument.name.empty()) reader.refuse(node.source(), "an instrument needs a name");
     instruments.push_back(std::move(instrument));
   }
+}
+
+/// Scheme, host and port of an address as browsers send it, in lower case; nothing if it is something else.
+std::optional<std::string> canonical_origin(const std::string& text) {
+  constexpr std::string_view kHostCharacters = "abcdefghijklmnopqrstuvwxyz0123456789.-:[]";
+  std::string origin = text;
+  std::transform(origin.begin(), origin.end(), origin.begin(),
+                 [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
+  for (const std::string_view scheme : {"https://", "http://"})
+    if (origin.starts_with(scheme) && origin.size() > scheme.size() &&
+        origin.find_first_not_of(kHostCharacters, scheme.size()) == std::string::npos)
+      return origin;
+  return std::nullopt;
 }
 
 void read_can(TableReader& reader, const toml::table& table, const std::string& file,
@@ -127,7 +145,7 @@ void read_gpio(TableReader& reader, const toml::table& table, const std::string&
 
 }  // namespace
 
-std::string default_database() {
+std::string default_database(bool simulated) {
   namespace fs = std::filesystem;
   const auto variable = [](const char* name) -> std::string {
     const char* value = std::getenv(name);
@@ -143,7 +161,14 @@ std::string default_database() {
   } else if (const std::string home = variable("HOME"); !home.empty()) {
     folder = fs::path(home) / ".local/state/clampd";
   }
-  return (folder / "checks.sqlite").string();
+  return (folder / (simulated ? kSimulatedDatabase : "checks.sqlite")).string();
+}
+
+void simulate_brake(StationConfiguration& configuration) {
+  if (!configuration.simulated_brake)
+    configuration.database =
+        (std::filesystem::path(configuration.database).parent_path() / kSimulatedDatabase).string();
+  configuration.simulated_brake = true;
 }
 
 Result<StationConfiguration> parse_station_configuration(const std::string& text, const std::string& path) {
@@ -152,7 +177,7 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
 
   StationConfiguration configuration;
   configuration.file = path;
-  configuration.database = default_database();
+  configuration.database.clear();
   std::string folder = std::filesystem::path(path).parent_path().string();
   if (folder.empty()) folder.push_back('.');
   std::optional<Error> error;
@@ -194,12 +219,17 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
     reader.integer("implausible_frames_max", s.implausible_frames_max, 0, 3);
     reader.integer("send_failures_max", s.send_failures_max, 0, 3);
     reader.number("over_force_N", s.over_force_N, 100.0, kSafeForce_N);
+    reader.number("over_force_ceiling_N", s.over_force_ceiling_N, 100.0, kSafeCeiling_N);
     reader.number("over_speed_rad_s", s.over_speed_rad_s, 1.0, kSafeSpeed_rad_s);
     reader.number("over_torque_Nm", s.over_torque_Nm, 0.1, kSafeTorque_Nm);
     reader.number("over_travel_rad", s.over_travel_rad, 1.0, 10'000.0);
     reader.number("plausible_force_N", s.plausible_force_N, 1'000.0, 1e6);
     reader.number("plausible_velocity_rad_s", s.plausible_velocity_rad_s, 10.0, 1e4);
     reader.number("plausible_torque_Nm", s.plausible_torque_Nm, 1.0, 1e3);
+    reader.number("torque_mismatch_Nm", s.torque_mismatch_Nm, 0.01, 1.0);
+    reader.number("velocity_mismatch_rad_s", s.velocity_mismatch_rad_s, 5.0, 100.0);
+    reader.number("position_mismatch_rad", s.position_mismatch_rad, 0.05, 2.0);
+    reader.number("force_mismatch_N", s.force_mismatch_N, 200.0, 10'000.0);
     reader.integer("missed_ticks_max", s.missed_ticks_max, 0, 3);
     reader.integer("missed_ticks_total_max", s.missed_ticks_total_max, 0, 100'000);
     reader.boolean("drive_reports_live", s.drive_reports_live);
@@ -241,14 +271,22 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
                [&](TableReader& reader) { reader.path("brake", model_file, folder); });
   read_section(document, "limits", path, error,
                [&](TableReader& reader) { reader.path("file", configuration.limits_file, folder); });
-  read_section(document, "archive", path, error, [&](TableReader& reader) {
-    reader.path("database", configuration.database, folder);
-    if (configuration.database.empty()) configuration.database = default_database();
-  });
+  read_section(document, "archive", path, error,
+               [&](TableReader& reader) { reader.path("database", configuration.database, folder); });
   read_section(document, "control", path, error, [&](TableReader& reader) {
     reader.text("address", configuration.control.address);
     reader.integer("port", configuration.control.port, 1, 65'535);
     reader.path("token_file", configuration.control.token_file, folder);
+    reader.texts("origins", configuration.control.origins);
+    for (std::string& origin : configuration.control.origins)
+      if (std::optional<std::string> canonical = canonical_origin(origin))
+        origin = std::move(*canonical);
+      else
+        reader.refuse(
+            (*parsed)["control"]["origins"].node()->source(),
+            fmt::format("control.origins: \"{}\" must be what a browser shows before the first path, "
+                        "https://HOST or https://HOST:PORT",
+                        origin));
   });
   read_section(document, "mqtt", path, error, [&](TableReader& reader) {
     MqttConfiguration& m = configuration.mqtt;
@@ -299,8 +337,10 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
   });
   read_section(document, "master", path, error, [&](TableReader& reader) {
     reader.text("serial", configuration.master.serial, 80);
+    configuration.master.serial = trimmed(configuration.master.serial);
     reader.path("limits", configuration.master.limits, folder);
     reader.number("due_h", configuration.master.due_h, 0.1, 10'000.0);
+    reader.boolean("required", configuration.master.required);
     if (configuration.master.serial.empty() != configuration.master.limits.empty())
       reader.refuse((*parsed)["master"].node()->source(),
                     "master needs both serial and limits: the brake, and the file with its certified values");
@@ -314,17 +354,23 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
   if (error) return tl::unexpected(*error);
 
   const std::string& interface = configuration.can.interface;
-  const bool no_hardware = interface.empty() || interface.rfind("vcan", 0) == 0;
+  const bool no_hardware = interface.empty() || interface.rfind("vcan", 0) == 0 || interface == "simulated";
   if (simulated == false && interface.empty())
     return failure(
         fmt::format("{}: station.simulated_brake is false, but without can.interface the brake is the "
                     "embedded simulated one",
                     path));
   configuration.simulated_brake = simulated.value_or(no_hardware);
+  if (configuration.database.empty())
+    configuration.database = default_database(configuration.simulated_brake);
   if (configuration.check.torque_limit_Nm >= configuration.supervisor.over_torque_Nm)
     return failure(fmt::format("{}: check.torque_limit_Nm = {} must be below supervisor.over_torque_Nm = {}",
                                path, configuration.check.torque_limit_Nm,
                                configuration.supervisor.over_torque_Nm));
+  if (configuration.supervisor.over_force_ceiling_N < configuration.supervisor.over_force_N)
+    return failure(fmt::format(
+        "{}: supervisor.over_force_ceiling_N = {} must not be below supervisor.over_force_N = {}", path,
+        configuration.supervisor.over_force_ceiling_N, configuration.supervisor.over_force_N));
   if (configuration.check.contact_force_N >= configuration.supervisor.over_force_N)
     return failure(fmt::format("{}: check.contact_force_N = {} must be below supervisor.over_force_N = {}",
                                path, configuration.check.contact_force_N,

@@ -22,6 +22,14 @@ LimitInterval times_nominal(const LimitInterval& normalised, double nominal) {
   return a < b ? LimitInterval{a, b} : LimitInterval{b, a};  // k1 is negative
 }
 
+/// Whether somebody seems to have written multiples of the nominal value where SI units are meant: the
+/// interval holds 1, and the nominal value is several times smaller or larger than all of it, or negative.
+bool looks_normalised(const LimitInterval& interval, double nominal) {
+  constexpr double kFar = 3.0;
+  return interval.lower > 0.0 && interval.lower <= 1.0 && interval.upper >= 1.0 &&
+         (nominal < interval.lower / kFar || nominal > interval.upper * kFar);
+}
+
 /// Both ends of one interval; what is wrong with it is refused.
 LimitInterval read_interval(const toml::table& entry, const std::string& section, std::string_view name,
                             const std::string& path, std::optional<Error>& error) {
@@ -98,6 +106,14 @@ Result<LimitSet> parse_limits(const std::string& text, const std::string& path) 
                                                        "[parameters_normalised]",
                                                        kParameterTable[i].name));
       given[i] = true;
+      if (!normalised && looks_normalised(interval, kParameterTable[i].nominal))
+        parameters.refuse(
+            entry->source(),
+            fmt::format(
+                "{0}: {1} to {2} {3} cannot be meant, the nominal value is {4} {3}; multiples of the nominal "
+                "value belong into [parameters_normalised]",
+                kParameterTable[i].name, interval.lower, interval.upper, kParameterTable[i].unit,
+                kParameterTable[i].nominal));
       limits.intervals[i] = normalised ? times_nominal(interval, kParameterTable[i].nominal) : interval;
     }
     parameters.finish();

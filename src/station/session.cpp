@@ -8,6 +8,7 @@
 
 #include "clampd/base/assert.hpp"
 #include "clampd/base/clock.hpp"
+#include "clampd/record/text.hpp"
 #include "clampd/record/utc.hpp"
 #include "clampd/station/cause.hpp"
 #include "clampd/station/verdict.hpp"
@@ -81,17 +82,26 @@ double ratio(double residual, double expected) {
 
 }  // namespace
 
-Result<void> validate(const CheckRequest& request) {
+CheckRequest normalised(CheckRequest request) {
+  for (std::string* text : {&request.serial, &request.operator_name, &request.part_number, &request.batch})
+    *text = trimmed(*text);
+  return request;
+}
+
+Result<void> validate(const CheckRequest& asked) {
+  const CheckRequest request = normalised(asked);
   const auto check = [](std::string_view what, const std::string& text) -> Result<void> {
     if (text.size() > kLongestText)
       return failure(fmt::format("{} is longer than {} characters", what, kLongestText));
     for (const char c : text)
       if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f)
         return failure(fmt::format("{} contains control characters", what));
+    if (!is_utf8(text))
+      return failure(
+          fmt::format("{} is no UTF-8: set the scanner or terminal to UTF-8, or type it again", what));
     return {};
   };
-  if (request.serial.find_first_not_of(' ') == std::string::npos)
-    return failure("the serial number is empty; every check belongs to a brake");
+  if (request.serial.empty()) return failure("the serial number is empty; every check belongs to a brake");
   if (request.repeats > kMostRepeats)
     return failure(fmt::format("{} repeats are too many; at most {}", request.repeats, kMostRepeats));
   for (const auto& [what, text] :
@@ -137,12 +147,13 @@ CheckSession::CheckSession(const StationConfiguration& configuration, const Limi
       diagnoser_(std::move(diagnoser)) {
   CLAMPD_ASSERT(validate(request).has_value());
   record_.id = make_record_id(context.started_utc_ns);
-  record_.serial = request.serial;
-  record_.part_number = or_configured(request.part_number, configuration.part_number);
-  record_.batch = or_configured(request.batch, configuration.batch);
+  const CheckRequest asked = normalised(request);
+  record_.serial = asked.serial;
+  record_.part_number = or_configured(asked.part_number, configuration.part_number);
+  record_.batch = or_configured(asked.batch, configuration.batch);
   record_.station = configuration.name;
   record_.fixture = configuration.fixture;
-  record_.operator_name = or_configured(request.operator_name, configuration.operator_name);
+  record_.operator_name = or_configured(asked.operator_name, configuration.operator_name);
   record_.software_version = context.software_version;
   record_.limits_file = limits.file;
   record_.limits_revision = limits.revision;
@@ -165,26 +176,33 @@ void CheckSession::consume(const Sample& sample) {
 
 CheckSession::Progress CheckSession::progress() const {
   return {samples_.load(std::memory_order_relaxed), repeats_, recorded_.load(std::memory_order_relaxed),
-          worker_.identified()};
+          worker_.identified(), cause_searched_.load(std::memory_order_relaxed)};
 }
 
-std::optional<Diagnosis> CheckSession::name_cause(CheckRecord& record) const {
-  Result<Diagnosis> diagnosis = diagnoser_(runs_of(record), diagnose_options(record, configuration_.model));
+const Diagnosis* CheckSession::name_cause(CheckRecord& record) {
+  DiagnoseOptions options = diagnose_options(record, configuration_.model);
+  options.progress = [this](double share, const std::string& words) {
+    cause_searched_.store(share, std::memory_order_relaxed);
+    if (search_.progress) search_.progress(share, words);
+  };
+  options.given_up = search_.given_up;
+  Result<Diagnosis> diagnosis = diagnoser_(runs_of(record), options);
   if (!diagnosis) {
     record.reason += fmt::format(" The cause could not be sought: {}.", diagnosis.error().message);
-    return std::nullopt;
+    return nullptr;
   }
-  record.cause = cause_of(*diagnosis);
-  if (record.cause) record.reason += " " + diagnosis->summary;
-  return std::move(*diagnosis);
+  diagnosis_ = std::move(*diagnosis);
+  record.cause = cause_of(*diagnosis_);
+  if (record.cause) record.reason += " " + diagnosis_->summary;
+  return &*diagnosis_;
 }
 
 /// A brake fails for what it is, not for how it was read: where readings or timing are at fault, and with
 /// that taken into account no parameter fails any more, the verdict is the station's ERROR.
-void CheckSession::question_failure(CheckRecord& record) const {
+void CheckSession::question_failure(CheckRecord& record) {
   const std::string failure = record.reason;
-  const std::optional<Diagnosis> diagnosis = name_cause(record);
-  if (!diagnosis || !is_in_the_readings(*diagnosis)) return;
+  const Diagnosis* diagnosis = name_cause(record);
+  if (diagnosis == nullptr || !is_in_the_readings(*diagnosis)) return;
   for (const ParameterRecord& failed : record.parameters) {
     if (failed.value >= failed.lower && failed.value <= failed.upper) continue;
     const auto index = find_parameter(failed.name);
@@ -235,7 +253,7 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   facts.fault = outcome.fault;
   facts.fault_verdict = outcome.fault_verdict;
   facts.fault_text = std::move(outcome.fault_text);
-  facts.deadline_passed = outcome.deadline_passed;
+  facts.refusal = std::move(outcome.refusal);
   facts.problem = collector_.problem();
   if (facts.problem.empty() && !record.runs.empty() && collector_.tare().samples == 0)
     facts.problem = "the sensors were not tared";

@@ -78,7 +78,13 @@ void TableReader::number(std::string_view key, double& target, double least, dou
   const toml::node* node = find(key);
   if (node == nullptr) return;
   if (!node->is_number()) return refuse(node->source(), fmt::format("{} must be a number", name(key)));
-  const double value = *node->value<double>();
+  // Whole numbers beyond 2^53 are no doubles, and toml++ gives nothing for them.
+  const std::optional<double> exact = node->value<double>();
+  if (!exact)
+    return refuse(node->source(),
+                  fmt::format("{} = {} is too large to be exact; at most 2^53 = 9007199254740992", name(key),
+                              **node->as_integer()));
+  const double value = *exact;
   if (!std::isfinite(value) || value < least || value > most)
     return refuse(node->source(),
                   fmt::format("{} = {} is outside of {} to {}", name(key), value, least, most));

@@ -143,8 +143,7 @@ Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValidityS
                   facts.fault_text.empty()
                       ? fmt::format("The station stopped the check: {}.", to_string(facts.fault))
                       : facts.fault_text);
-  if (facts.deadline_passed)
-    return decide(Verdict::Timeout, false, "The check did not end before its deadline.");
+  if (!facts.refusal.empty()) return decide(Verdict::Error, false, facts.refusal);
   if (std::string why = invalidity(facts, limits, validity, judgement.unexplained); !why.empty())
     return decide(Verdict::Error, false, std::move(why));
 

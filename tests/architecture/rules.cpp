@@ -60,7 +60,8 @@ const std::vector<LibraryRule>& library_rules() {
       {"mosquitto", {"publish"}, false},
       {"pqxx", {"publish"}, false},
       {"sparkplug_b.pb", {"publish"}, false},
-      {"httplib", {"tools"}, true},
+      {"boost/asio", {"tools"}, false},
+      {"boost/beast", {"tools"}, false},
       {"CLI/", {"tools"}, true},
   };
   return kRules;

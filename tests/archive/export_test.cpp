@@ -162,6 +162,29 @@ TEST(Dfq, RefusesUnlikeChecks) {
   EXPECT_FALSE(format_dfq({}, {}));
 }
 
+TEST(Dfq, NamesOfManyOperatorsAreNotCutOff) {
+  std::vector<CheckRecord> checks;
+  for (int i = 0; i < 30; ++i) {
+    checks.push_back(numbered(i));
+    checks.back().operator_name = "operator number " + std::to_string(i);
+  }
+  const std::string text = *format_dfq(checks, {});
+  EXPECT_THAT(text, HasSubstr("K1900 K0004 is UTC; K0009 names what K0008"));
+  const DfqFile file = read_dfq(text);
+  for (const auto& value : file.values.at(1)) {
+    const std::string number = std::to_string(std::stoi(value.more.at("K0008")) - 1);
+    EXPECT_THAT(value.more.at("K0009"), HasSubstr("operator number " + number + ";"));
+  }
+}
+
+TEST(Dfq, ValuesOfAVoidCheckDoNotCount) {
+  CheckRecord check = numbered(0);
+  check.voided = VoidRecord{"the wrong brake", "ada", ""};
+  const DfqFile file = read_dfq(*format_dfq({check}, {}));
+  EXPECT_EQ(file.values.at(1)[0].more.at("K0002"), "255");
+  EXPECT_THAT(file.values.at(1)[0].more.at("K0009"), HasSubstr("VOID"));
+}
+
 TEST(Dfq, NoTextBreaksALine) {
   CheckRecord check = numbered(0);
   check.serial = "A\r\nK0001/1 999";
@@ -222,6 +245,17 @@ TEST(Csv, OneRowACheckWithEveryParameter) {
   EXPECT_EQ(rows[1][column("backlash.play [rad]")], "");
   EXPECT_DOUBLE_EQ(std::stod(rows[2][column("backlash.play [rad]")]), 0.2);
   EXPECT_EQ(rows[2][column("k2 verdict")], "fail");
+}
+
+TEST(Csv, NoFormulaBeginsAtASemicolonEither) {
+  CheckRecord check = numbered(0);
+  check.serial = "SN;=HYPERLINK(1)";
+  check.batch = ";@x";
+  check.operator_name = "A; B;-1";
+  check.voided = VoidRecord{"=1", "", ""};
+  const std::string text = format_csv({check});
+  for (const char* cell : {"\"SN;'=HYPERLINK(1)\"", "\";'@x\"", "\"A; B;'-1\"", ",'=1\r\n"})
+    EXPECT_THAT(text, HasSubstr(cell));
 }
 
 }  // namespace

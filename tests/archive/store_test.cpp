@@ -1,5 +1,7 @@
 #include "clampd/archive/store.hpp"
 
+#include <unistd.h>
+
 #include <cmath>
 #include <filesystem>
 #include <limits>
@@ -121,8 +123,27 @@ TEST_F(Store, WhatIsKnownOfTheZerosReadsBackTheSame) {
   EXPECT_EQ(store.load(unknown.id)->torque_while_off, std::nullopt);
 }
 
+/// Takes a database of such records back to schema 6: runs as text, no chain, no mark of whose it is.
+void undo_steps_7_and_8(SQLite::Database& database) {
+  SQLite::Statement plain(database, "UPDATE runs SET csv = ?, bytes = ? WHERE position = ?");
+  const CheckRecord record = make_check_record();
+  for (std::size_t i = 0; i < record.runs.size(); ++i) {
+    const std::string csv = format_run(record.runs[i].run);
+    plain.reset();
+    plain.bind(1, csv);
+    plain.bind(2, static_cast<std::int64_t>(csv.size()));
+    plain.bind(3, static_cast<std::int64_t>(i));
+    plain.exec();
+  }
+  database.exec(
+      "DROP TABLE chain; DROP TABLE amendments; ALTER TABLE runs DROP COLUMN data; PRAGMA application_id = "
+      "0; "
+      "PRAGMA user_version = 6");
+}
+
 /// Takes a database back to schema 3.
-void undo_steps_4_to_6(SQLite::Database& database) {
+void undo_steps_4_to_8(SQLite::Database& database) {
+  undo_steps_7_and_8(database);
   database.exec(
       "DROP TABLE outbox_connections; DROP INDEX checks_by_part; DROP INDEX checks_by_batch; DROP INDEX "
       "checks_by_operator; "
@@ -140,11 +161,11 @@ TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
   }
   {
     SQLite::Database old(path, SQLite::OPEN_READWRITE);
-    undo_steps_4_to_6(old);
+    undo_steps_4_to_8(old);
     old.exec("ALTER TABLE checks DROP COLUMN cause");
     old.exec("PRAGMA user_version = 2");
   }
-  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 6"));
+  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 8"));
   CheckStore store = open();
   const auto loaded = store.load("last");
   ASSERT_TRUE(loaded) << loaded.error().message;
@@ -163,7 +184,7 @@ TEST_F(Store, BringsResultsFromBeforeRetentionUpToDate) {
   }
   {
     SQLite::Database old(path, SQLite::OPEN_READWRITE);
-    undo_steps_4_to_6(old);
+    undo_steps_4_to_8(old);
   }
   CheckStore store = open();
   const auto loaded = store.load("last");
@@ -174,6 +195,55 @@ TEST_F(Store, BringsResultsFromBeforeRetentionUpToDate) {
   std::size_t bytes = 0;
   for (const RunRecord& run : make_check_record().runs) bytes += format_run(run.run).size();
   EXPECT_EQ(plan->bytes, bytes) << "old runs count too";
+}
+
+TEST_F(Store, SealsWhatAnOlderVersionSaved) {
+  {
+    CheckStore store = open();
+    for (int day = 10; day < 20; ++day)
+      ASSERT_TRUE(store.save(make_check_record(fmt::format("202611{}T000000000Z-00000000", day))));
+    ASSERT_TRUE(store.apply_retention({.bytes = 1}, 0, 3)) << "also by its retention";
+  }
+  {
+    SQLite::Database old(path, SQLite::OPEN_READWRITE);
+    undo_steps_7_and_8(old);
+    old.exec("UPDATE runs SET csv = '' WHERE removed <> ''");
+  }
+  CheckStore store = open();
+  const auto found = store.verify();
+  ASSERT_TRUE(found) << found.error().message;
+  EXPECT_THAT(found->damage, ::testing::IsEmpty());
+  EXPECT_EQ(found->checks, 10U);
+  EXPECT_EQ(found->runs, 14U);
+  EXPECT_EQ(found->runs_removed, 6U);
+  EXPECT_EQ(store.load("20261119")->runs[1].run.force_N, make_check_record().runs[1].run.force_N);
+}
+
+TEST_F(Store, NumbersOutboxesOfOldInTimeThatGrowsWithTheirLength) {
+  open();
+  {
+    SQLite::Database old(path, SQLite::OPEN_READWRITE);
+    undo_steps_7_and_8(old);
+    old.exec(
+        "DROP TABLE outbox_connections; DROP INDEX publication_order; DROP INDEX publication_next; "
+        "ALTER TABLE publication DROP COLUMN sequence; ALTER TABLE publication DROP COLUMN queued; "
+        "CREATE INDEX publication_pending ON publication (channel, check_id) WHERE state = 0; "
+        "ALTER TABLE checks DROP COLUMN torque_while_off; ALTER TABLE checks DROP COLUMN tare_force_N; ALTER "
+        "TABLE checks DROP COLUMN tare_force_sd_N; ALTER TABLE checks DROP COLUMN tare_velocity_rad_s; "
+        "ALTER TABLE checks DROP COLUMN tare_velocity_sd_rad_s; PRAGMA user_version = 4");
+    // The square of these would take minutes. They belong to no check, so that nothing else grows with them.
+    old.exec(
+        "PRAGMA foreign_keys = OFF; WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i "
+        "< 50000) "
+        "INSERT INTO publication (check_id, channel, state) SELECT printf('%06d', i), channel, i > 40000 "
+        "FROM n, "
+        "(SELECT 'mqtt' AS channel UNION ALL SELECT 'postgresql')");
+  }
+  open();
+  SQLite::Database file(path, SQLite::OPEN_READONLY);
+  EXPECT_EQ(
+      file.execAndGet("SELECT COUNT(*) FROM publication WHERE sequence = CAST(check_id AS INTEGER)").getInt(),
+      100'000);
 }
 
 TEST_F(Store, KeepsACheckWithoutRuns) {
@@ -303,17 +373,158 @@ TEST_F(Store, NoticesAChangedRun) {
   CheckStore store = open();
   ASSERT_TRUE(store.save(make_check_record()));
   SQLite::Database(path, SQLite::OPEN_READWRITE)
-      .exec("UPDATE runs SET csv = replace(csv, '0.1', '0.2') WHERE position = 1");
+      .exec("UPDATE runs SET data = (SELECT data FROM runs WHERE position = 0) WHERE position = 1");
   const auto loaded = store.load("last");
   ASSERT_FALSE(loaded);
   EXPECT_THAT(loaded.error().message, HasSubstr("repeat 2 of check"));
   EXPECT_THAT(loaded.error().message, HasSubstr("checksum does not match"));
 }
 
+TEST_F(Store, NoticesAChangedFigure) {
+  CheckStore store = open();
+  const CheckRecord record = make_check_record();
+  ASSERT_TRUE(store.save(record));
+  for (const char* change :
+       {"UPDATE checks SET verdict = 0", "UPDATE parameters SET value = 35.2 WHERE name = 'k2'",
+        "UPDATE runs SET converged = 1", "UPDATE lateness_histogram SET ticks = ticks + 1",
+        "UPDATE flight_recorder SET force_N = 0 WHERE position = 2",
+        "DELETE FROM parameters WHERE position = 6"}) {
+    SQLite::Database other(path, SQLite::OPEN_READWRITE);
+    other.exec(change);
+    for (const auto& loaded : {store.load("last"), store.load_result(record.id)}) {
+      ASSERT_FALSE(loaded) << change;
+      EXPECT_THAT(loaded.error().message, HasSubstr("was changed after it was recorded"));
+    }
+    other.exec(
+        "DELETE FROM chain; DELETE FROM parameters; DELETE FROM runs; DELETE FROM lateness_histogram; "
+        "DELETE FROM flight_recorder; DELETE FROM checks");
+    ASSERT_TRUE(store.save(record));
+    ASSERT_TRUE(store.load("last"));
+  }
+}
+
+TEST_F(Store, ListsWhatClampdNeverWritesAsDamaged) {
+  CheckStore store = open();
+  for (const char* id : {"20261120T000000000Z-00000000", "20261121T000000000Z-00000000"})
+    ASSERT_TRUE(store.save(make_check_record(id)));
+  SQLite::Database other(path, SQLite::OPEN_READWRITE);
+  for (const char* stored :
+       {"verdict = 256", "verdict = -1", "verdict = 5", "marginal = 2", "repeats = -1", "fault = 4711",
+        "cause = '{'", "covariance_normalised = '[\"x\"]'", "repeats = 4294967296", "ticks = -1"}) {
+    SCOPED_TRACE(stored);
+    other.exec(
+        fmt::format("UPDATE checks SET verdict = 1, marginal = 0, repeats = 2, fault = 0, cause = '', "
+                    "covariance_normalised = '[]', ticks = 1; "
+                    "UPDATE checks SET {} WHERE id LIKE '20261121%'",
+                    stored));
+    const auto results = store.load_results({});
+    ASSERT_TRUE(results) << results.error().message;
+    ASSERT_EQ(results->size(), 2U);
+    EXPECT_EQ(results->front().verdict, Verdict::Error);
+    EXPECT_EQ(results->front().serial, "EMB-0042");
+    EXPECT_THAT(results->front().reason, HasSubstr("This record is damaged"));
+    EXPECT_EQ(results->back().verdict, Verdict::Fail) << "the rest goes on";
+    const auto listed = store.list({});
+    ASSERT_TRUE(listed) << listed.error().message;
+    EXPECT_EQ(listed->size(), 2U);
+    EXPECT_FALSE(store.load("last"));
+  }
+}
+
+TEST_F(Store, ReadsNoHistogramThatIsNone) {
+  CheckStore store = open();
+  ASSERT_TRUE(store.save(make_check_record()));
+  for (const char* bin : {"-1", "9223372036854775807", "1000000"}) {
+    SQLite::Database(path, SQLite::OPEN_READWRITE)
+        .exec(fmt::format("UPDATE lateness_histogram SET bin_us = {} WHERE ticks = 9", bin));
+    EXPECT_FALSE(store.load("last")) << bin;
+  }
+}
+
+TEST_F(Store, ShowsTextsThatAreNoUtf8WithMarks) {
+  CheckStore store = open();
+  ASSERT_TRUE(store.save(make_check_record()));
+  SQLite::Database(path, SQLite::OPEN_READWRITE).exec("UPDATE checks SET serial = CAST(x'41ff42' AS TEXT)");
+  const auto listed = store.list({});
+  ASSERT_TRUE(listed) << listed.error().message;
+  EXPECT_EQ(listed->front().serial,
+            "A\xEF\xBF\xBD"
+            "B");
+  EXPECT_NO_THROW(summaries_json(*listed).dump());
+}
+
+TEST_F(Store, NoticesThatItsFileIsGone) {
+  CheckStore store = open();
+  ASSERT_TRUE(store.save(make_check_record("20261120T000000000Z-00000000")));
+  const std::string moved = path + ".moved";
+  const auto move = [](const std::string& from, const std::string& to) {
+    for (const char* suffix : {"", "-wal", "-shm"}) std::filesystem::rename(from + suffix, to + suffix);
+  };
+  move(path, moved);
+  const CheckRecord second = make_check_record("20261121T000000000Z-00000000");
+  auto saved = store.save(second);
+  ASSERT_FALSE(saved);
+  EXPECT_THAT(saved.error().message, HasSubstr("was deleted, moved or replaced"));
+  directory.write("deep/folder/checks.sqlite", "another file");
+  EXPECT_FALSE(store.save(second)) << "in its place";
+  move(moved, path);
+  saved = store.save(second);
+  ASSERT_TRUE(saved) << saved.error().message;
+  EXPECT_EQ(CheckStore::open(path, Access::ReadOnly)->list({})->size(), 2U);
+  std::filesystem::remove(path);
+  EXPECT_FALSE(store.save(make_check_record("20261122T000000000Z-00000000")));
+  EXPECT_FALSE(std::filesystem::exists(path));
+}
+
+TEST_F(Store, ReadsWhatMayOnlyBeRead) {
+  {
+    CheckStore store = open();
+    ASSERT_TRUE(store.save(make_check_record()));
+  }
+  const std::string folder = directory.path("deep/folder");
+  namespace fs = std::filesystem;
+  fs::permissions(directory.path("."), fs::perms(0755));
+  fs::permissions(path, fs::perms(0444));
+  fs::permissions(folder, fs::perms(0555));
+  constexpr uid_t kNobody = 65534;
+  const uid_t user = ::geteuid();
+  if (user == 0) {
+    ASSERT_EQ(::seteuid(kNobody), 0);
+  }
+  const auto store = CheckStore::open(path, Access::ReadOnly);
+  const auto listed = store.and_then([](const CheckStore& opened) { return opened.list({}); });
+  const auto loaded = store.and_then([](const CheckStore& opened) { return opened.load("last"); });
+  if (user == 0) {
+    ASSERT_EQ(::seteuid(user), 0);
+  }
+  fs::permissions(folder, fs::perms(0755));
+  ASSERT_TRUE(listed) << listed.error().message;
+  EXPECT_EQ(listed->size(), 1U);
+  EXPECT_TRUE(loaded);
+}
+
+TEST_F(Store, AdoptsNoDatabaseOfAnotherProgram) {
+  const std::string foreign = directory.path("foreign.sqlite");
+  for (const char* contents :
+       {"CREATE TABLE notes (text TEXT)", "CREATE TABLE notes (text TEXT); PRAGMA user_version = 3",
+        "PRAGMA user_version = 3", "PRAGMA application_id = 77",
+        "CREATE TABLE checks (id TEXT); PRAGMA user_version = 6"}) {
+    std::filesystem::remove(foreign);
+    SQLite::Database(foreign, SQLite::OPEN_READWRITE | SQLite::OPEN_CREATE).exec(contents);
+    const std::string before = directory.read("foreign.sqlite");
+    for (const Access access : {Access::ReadWrite, Access::ReadOnly}) {
+      const auto store = CheckStore::open(foreign, access);
+      ASSERT_FALSE(store) << contents;
+      EXPECT_THAT(store.error().message, HasSubstr("not one of clampd's results"));
+    }
+    EXPECT_EQ(directory.read("foreign.sqlite"), before);
+  }
+}
+
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 6);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 8);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

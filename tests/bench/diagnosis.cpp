@@ -21,6 +21,7 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
+#include "clampd/base/version.hpp"
 #include "clampd/diagnose/diagnosis.hpp"
 #include "clampd/record/file.hpp"
 #include "tests/support/blind/detectability.hpp"
@@ -63,10 +64,12 @@ std::string_view to_string(Outcome outcome) {
 
 struct Options {
   int single = 300, none = 200, offlist = 66, pair = 40;
+  int none_feedback = 200, single_feedback = 100;
   int sets = 0;
   std::uint64_t seed = 1;
   std::uint64_t only = 0;
   std::string kind = "single", generator = "both", effect, json, keep;
+  bool feedback = false;  ///< of --only
   bool reduced = false, list = false, list_wrong = false;
   unsigned jobs = 0;
 };
@@ -104,8 +107,9 @@ class Folder {
  public:
   Folder(const std::string& keep, const Request& request)
       : path_((keep.empty() ? fs::temp_directory_path() : fs::path(keep)) /
-              fmt::format("blind-{}-{}-{}-{}", keep.empty() ? fmt::format("{}", getpid()) : "set",
-                          blind::to_string(request.kind), blind::to_string(request.generator), request.seed)),
+              fmt::format("blind-{}-{}-{}{}-{}", keep.empty() ? fmt::format("{}", getpid()) : "set",
+                          blind::to_string(request.kind), blind::to_string(request.generator),
+                          request.feedback ? "-feedback" : "", request.seed)),
         keep_(!keep.empty()) {}
   ~Folder() {
     std::error_code ignored;
@@ -290,10 +294,9 @@ void line(const char* what, const Share& share, const char* target) {
   fmt::print("  {:<46} {:<32} {}\n", what, share.text(), target);
 }
 
-void print_singles(const std::vector<Score>& scores, const char* title, Generator generator, bool both) {
-  const auto in = [&](const Score& s) {
-    return s.request.kind == Kind::Single && (both || s.request.generator == generator);
-  };
+template <class Filter>
+void print_singles(const std::vector<Score>& scores, const char* title, Filter chosen) {
+  const auto in = [&](const Score& s) { return s.request.kind == Kind::Single && chosen(s); };
   const auto detectable = [&](const Score& s) { return in(s) && s.detectable(); };
   const auto is = [](std::initializer_list<Outcome> outcomes) {
     return [all = std::vector<Outcome>(outcomes)](const Score& s) {
@@ -327,6 +330,22 @@ void print_singles(const std::vector<Score>& scores, const char* title, Generato
        ">= 95 %");
 }
 
+void print_nones(const std::vector<Score>& scores, const char* title, bool feedback, const char* target) {
+  const auto in = [=](const Score& s) {
+    return s.request.kind == Kind::None && s.request.feedback == feedback;
+  };
+  if (std::none_of(scores.begin(), scores.end(), in)) return;
+  fmt::print("\n{}\n", title);
+  line("adequate", share(scores, in, [](const Score& s) { return s.verdict == DiagnosisVerdict::Adequate; }),
+       target);
+  for (const double level : {0.5, 0.2, 0.05})
+    line(fmt::format("least p-value of the candidates below {:g}", level).c_str(),
+         share(scores, in, [=](const Score& s) { return s.least_p_value < level; }),
+         fmt::format("{:g} %", 100.0 * level).c_str());
+  line("all seven parameters within 3 sd",
+       share(scores, in, [](const Score& s) { return s.worst_parameter_sds <= kStandardDeviations; }), "");
+}
+
 void print_others(const std::vector<Score>& scores) {
   const auto of_kind = [](Kind kind, double least_nats = -1.0) {
     return [=](const Score& s) { return s.request.kind == kind && s.nats > least_nats; };
@@ -334,18 +353,8 @@ void print_others(const std::vector<Score>& scores) {
   const auto verdict = [](DiagnosisVerdict which) {
     return [=](const Score& s) { return s.verdict == which; };
   };
-  if (std::any_of(scores.begin(), scores.end(), of_kind(Kind::None))) {
-    fmt::print("\nNo effect\n");
-    line("adequate", share(scores, of_kind(Kind::None), verdict(DiagnosisVerdict::Adequate)), ">= 97 %");
-    for (const double level : {0.5, 0.2, 0.05})
-      line(fmt::format("least p-value of the candidates below {:g}", level).c_str(),
-           share(scores, of_kind(Kind::None), [=](const Score& s) { return s.least_p_value < level; }),
-           fmt::format("{:g} %", 100.0 * level).c_str());
-    line("all seven parameters within 3 sd",
-         share(scores, of_kind(Kind::None),
-               [](const Score& s) { return s.worst_parameter_sds <= kStandardDeviations; }),
-         "");
-  }
+  print_nones(scores, "No effect", false, ">= 97 %");
+  print_nones(scores, "No effect, feedback in the row", true, ">= 98 %");
   if (std::any_of(scores.begin(), scores.end(), of_kind(Kind::OffList))) {
     fmt::print("\nOne effect that is not on the list\n");
     line("a false name", share(scores, of_kind(Kind::OffList), verdict(DiagnosisVerdict::Explained)),
@@ -488,18 +497,21 @@ nlohmann::ordered_json to_json(const Score& score) {
   return json;
 }
 
-Request request_for(Kind kind, std::uint64_t seed, const Options& options) {
+Request request_for(Kind kind, bool feedback, std::uint64_t seed, const Options& options) {
   Request request;
   request.kind = kind;
+  request.feedback = feedback;
   request.seed = seed;
   request.reduced = options.reduced;
   request.effect = options.effect;
   const bool station = options.generator == "station" || (options.generator == "both" && seed % 2 == 0);
-  request.generator = station && kind != Kind::OffList ? Generator::Station : Generator::Independent;
+  const bool can_be_station = kind != Kind::OffList && !feedback;
+  request.generator = station && can_be_station ? Generator::Station : Generator::Independent;
   if (request.effect.empty() && (kind == Kind::Single || kind == Kind::OffList)) {
     // Each as often as any other.
     const auto names = blind::effect_names(kind == Kind::Single, request.generator);
-    const std::uint64_t turn = options.generator == "both" && kind == Kind::Single ? seed / 2 : seed;
+    const bool takes_turns = options.generator == "both" && kind == Kind::Single && can_be_station;
+    const std::uint64_t turn = takes_turns ? seed / 2 : seed;
     request.effect = names[turn % names.size()];
   }
   return request;
@@ -507,13 +519,19 @@ Request request_for(Kind kind, std::uint64_t seed, const Options& options) {
 
 std::vector<Request> requests_for(const Options& options) {
   std::vector<Request> requests;
-  const std::pair<Kind, int> counts[] = {{Kind::Single, options.single},
-                                         {Kind::None, options.none},
-                                         {Kind::OffList, options.offlist},
-                                         {Kind::Pair, options.pair}};
-  for (const auto& [kind, count] : counts)
-    for (int i = 0; i < count; ++i)
-      requests.push_back(request_for(kind, options.seed + static_cast<std::uint64_t>(i), options));
+  struct Part {
+    Kind kind;
+    bool feedback;
+    int count;
+  };
+  const Part parts[] = {
+      {Kind::Single, false, options.single},     {Kind::None, false, options.none},
+      {Kind::OffList, false, options.offlist},   {Kind::Pair, false, options.pair},
+      {Kind::None, true, options.none_feedback}, {Kind::Single, true, options.single_feedback}};
+  for (const Part& part : parts)
+    for (int i = 0; i < part.count; ++i)
+      requests.push_back(
+          request_for(part.kind, part.feedback, options.seed + static_cast<std::uint64_t>(i), options));
   return requests;
 }
 
@@ -541,6 +559,11 @@ std::vector<Score> diagnose_all(const std::vector<Request>& requests, const Opti
   for (std::thread& worker : workers) worker.join();
   if (progress) fmt::print(stderr, "\r");
   return scores;
+}
+
+void print_origin(int argc, char** argv, const Options& options) {
+  fmt::print("\nFrom {}, seeds {} and up, clampd {}; intervals: Wilson's, 95 %\n",
+             fmt::join(std::vector<std::string>(argv, argv + argc), " "), options.seed, kVersion);
 }
 
 void print_times(const std::vector<Score>& scores) {
@@ -585,11 +608,17 @@ int run(int argc, char** argv) {
   app.add_option("--offlist", options.offlist, "sets with one that is not on the list")
       ->capture_default_str();
   app.add_option("--pair", options.pair, "sets with two")->capture_default_str();
+  app.add_option("--none-feedback", options.none_feedback,
+                 "sets without any, whose controller computes a row's torque from that row's readings")
+      ->capture_default_str();
+  app.add_option("--single-feedback", options.single_feedback, "sets with one, the same")
+      ->capture_default_str();
   app.add_option("--sets", options.sets, "so many sets in all, in the proportions above");
   app.add_option("--seed", options.seed, "of the first set of each kind")->capture_default_str();
   auto* only = app.add_option("--only", options.only, "the set with this seed of --kind, in detail");
   app.add_option("--kind", options.kind, "of --only")
       ->check(CLI::IsMember({"none", "single", "offlist", "pair"}));
+  app.add_flag("--feedback", options.feedback, "of --only: with feedback in the row");
   app.add_option("--generator", options.generator, "whose brake")
       ->check(CLI::IsMember({"both", "station", "independent"}));
   app.add_option("--effect", options.effect, "always this one");
@@ -605,26 +634,34 @@ int run(int argc, char** argv) {
     for (const Kind kind : {Kind::None, Kind::Single, Kind::OffList, Kind::Pair}) {
       if (blind::to_string(kind) != options.kind) continue;
       Diagnosis details;
-      const Score score = diagnose_one(request_for(kind, options.only, options), options, &details);
+      const Score score =
+          diagnose_one(request_for(kind, options.feedback, options.only, options), options, &details);
       print_details(score, details);
     }
     return 0;
   }
   if (options.sets > 0) {
     const double scale =
-        static_cast<double>(options.sets) / (options.single + options.none + options.offlist + options.pair);
-    for (int* count : {&options.single, &options.none, &options.offlist, &options.pair})
+        static_cast<double>(options.sets) / (options.single + options.none + options.offlist + options.pair +
+                                             options.none_feedback + options.single_feedback);
+    for (int* count : {&options.single, &options.none, &options.offlist, &options.pair,
+                       &options.none_feedback, &options.single_feedback})
       *count = static_cast<int>(std::lround(*count * scale));
   }
   const std::vector<Score> scores = diagnose_all(requests_for(options), options);
-  print_singles(scores, "both generators", Generator::Station, true);
+  const auto of = [](Generator generator) {
+    return [=](const Score& s) { return !s.request.feedback && s.request.generator == generator; };
+  };
+  print_singles(scores, "both generators", [](const Score& s) { return !s.request.feedback; });
   if (options.generator == "both") {
-    print_singles(scores, "the station's brake", Generator::Station, false);
-    print_singles(scores, "the independent brake", Generator::Independent, false);
+    print_singles(scores, "the station's brake", of(Generator::Station));
+    print_singles(scores, "the independent brake", of(Generator::Independent));
   }
+  print_singles(scores, "feedback in the row", [](const Score& s) { return s.request.feedback; });
   print_others(scores);
   print_confusion(scores);
   print_times(scores);
+  print_origin(argc, argv, options);
   if (!options.json.empty()) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const Score& score : scores) json.push_back(to_json(score));

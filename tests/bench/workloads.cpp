@@ -111,7 +111,7 @@ ReplayedCheck::ReplayedCheck() {
   plan_.repeats = 3;
   Recorder recorder;
   rt::ControlCore core(recorder);
-  core.requests().plan = &plan_;
+  core.requests().start(plan_, core.ticket());
   for (std::int64_t now_ns = 0; core.status().checks_finished == 0; now_ns += kPeriod_ns)
     core.tick(now_ns, 0, 0);
   CLAMPD_ASSERT(core.status().fault == FaultCause::None);
@@ -128,7 +128,7 @@ std::size_t ReplayedCheck::ticks() const {
 void ReplayedCheck::restart() {
   player_->next = 0;
   core_ = std::make_unique<rt::ControlCore>(*player_);
-  core_->requests().plan = &plan_;
+  core_->requests().start(plan_, core_->ticket());
 }
 
 void ReplayedCheck::tick() noexcept {

@@ -10,8 +10,7 @@
 
 #include "support/eventually.hpp"
 #include "support/network.hpp"
-
-#include <httplib.h>
+#include "tools/http/client.hpp"
 
 namespace clampd::screen {
 
@@ -30,7 +29,9 @@ Browser::Browser(int width, int height)
     : port_(support::free_port()),
       driver_({kDriver, "--port=" + std::to_string(port_)}, folder_.path("driver.log"),
               {"HOME=" + folder_.path("")}) {
-  if (!support::eventually([&] { return bool(httplib::Client("127.0.0.1", port_).Get("/status")); }))
+  if (!support::eventually([&] {
+        return http::exchange("127.0.0.1", port_, {"GET", "/status"}).has_value();
+      }))
     throw std::runtime_error("chromedriver does not answer");
   const std::string size = "--window-size=" + std::to_string(width) + "," + std::to_string(height);
   const nlohmann::json options{
@@ -45,23 +46,38 @@ Browser::Browser(int width, int height)
                                           {"goog:chromeOptions", options},
                                           {"goog:loggingPrefs", {{"browser", "ALL"}}}}}}}});
   session_ = "/session/" + session.at("sessionId").get<std::string>();
-  // The window is larger than the page; the pictures shall be as wide as asked for.
+  resize(width, height);
+}
+
+/// The window is larger than the page; the pictures shall be as wide as asked for.
+void Browser::resize(int width, int height) {
   ask("POST", session_ + "/goog/cdp/execute",
       {{"cmd", "Emulation.setDeviceMetricsOverride"},
        {"params", {{"width", width}, {"height", height}, {"deviceScaleFactor", 1}, {"mobile", false}}}});
 }
 
+void Browser::delay_network(int latency_ms) {
+  ask("POST", session_ + "/goog/cdp/execute",
+      {{"cmd", "Network.enable"}, {"params", nlohmann::json::object()}});
+  ask("POST", session_ + "/goog/cdp/execute",
+      {{"cmd", "Network.emulateNetworkConditions"},
+       {"params",
+        {{"offline", false},
+         {"latency", latency_ms},
+         {"downloadThroughput", -1},
+         {"uploadThroughput", -1}}}});
+}
+
 Browser::~Browser() {
-  if (!session_.empty()) httplib::Client("127.0.0.1", port_).Delete(session_);
+  if (!session_.empty()) http::exchange("127.0.0.1", port_, {"DELETE", session_});
 }
 
 nlohmann::json Browser::ask(const std::string& method, const std::string& path, const nlohmann::json& body) {
-  httplib::Client http("127.0.0.1", port_);
-  http.set_read_timeout(120);
-  const auto answer = method == "GET"
-                          ? http.Get(path)
-                          : http.Post(path, body.is_null() ? "{}" : body.dump(), "application/json");
-  if (!answer) throw std::runtime_error("chromedriver: no answer to " + path);
+  http::Call call{method, path};
+  if (method != "GET") call.body = body.is_null() ? "{}" : body.dump();
+  call.answer_within = std::chrono::seconds(120);
+  const auto answer = http::exchange("127.0.0.1", port_, call);
+  if (!answer) throw std::runtime_error("chromedriver: no answer to " + path + ": " + answer.error().message);
   nlohmann::json document = nlohmann::json::parse(answer->body);
   if (answer->status != 200)
     throw std::runtime_error("chromedriver: " + document.at("value").value("message", answer->body));

@@ -38,6 +38,10 @@ class Browser {
   /// Whether the expression becomes true within the time.
   bool becomes(const std::string& expression, int seconds = 30);
   void prefer_dark(bool dark);
+  /// Every answer takes so much longer.
+  void delay_network(int latency_ms);
+  /// Another screen, as wide and high as this.
+  void resize(int width, int height);
   void save_picture(const std::string& file);
   /// What the console has said since the last time: errors, blocked content.
   std::string complaints();

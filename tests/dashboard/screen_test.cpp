@@ -4,6 +4,7 @@
 #include <signal.h>
 #include <sys/resource.h>
 
+#include <array>
 #include <filesystem>
 #include <optional>
 #include <string>
@@ -12,6 +13,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "clampd/experiment/manoeuvres.hpp"
 #include "dashboard/browser.hpp"
 #include "dashboard/program.hpp"
 #include "support/eventually.hpp"
@@ -42,12 +44,12 @@ class Screen : public ::testing::Test {
 
   /// The daemon with this simulated brake, and the browser in front of it.
   void start(const std::string& brake, int repeats, bool with_token = true,
-             const std::string& further_tables = "") {
+             const std::string& further_tables = "", const std::string& further_check = "") {
     port_ = support::free_port();
     folder_.write("station.toml",
-                  fmt::format("[station]\nname = \"bench-1\"\n[check]\nrepeats = {}\n[control]\nport = {}\n"
+                  fmt::format("[station]\nname = \"bench-1\"\n[check]\nrepeats = {}\n{}[control]\nport = {}\n"
                               "token_file = \"token\"\n{}",
-                              repeats, port_, further_tables));
+                              repeats, further_check, port_, further_tables));
     folder_.write("brake.toml", brake);
     daemon_.emplace(std::vector<std::string>{CLAMPD, "--simulated", "--config", folder_.path("station.toml"),
                                              "--simulated-brake", folder_.path("brake.toml")},
@@ -78,6 +80,17 @@ class Screen : public ::testing::Test {
 
 constexpr const char* kGoodBrake = "[plant]\nseed = 3\n";
 
+/// What a request without a token gets from the station, as JSON text; {} where it refuses.
+std::string asked(const std::string& path) {
+  return "(() => { const r = new XMLHttpRequest(); r.open('GET', '" + path +
+         "', false); r.send(); return r.status === 200 ? r.responseText : '{}'; })()";
+}
+
+constexpr const char* kBeyondTheScreen =
+    "[...document.querySelectorAll('body *')].filter((node) => { const box = node.getBoundingClientRect();"
+    "return box.width > 0 && box.right > document.documentElement.clientWidth + 1 &&"
+    "!node.closest('.wide-table'); }).map((node) => `${node.tagName} ${node.id} ${node.className}`).join()";
+
 TEST_F(Screen, AKeyboardAloneChecksABrakeAndBrowsesTheHistory) {
   start(kGoodBrake, 6);
   ASSERT_TRUE(shows("READY", 15)) << browser_->text("body");
@@ -92,7 +105,17 @@ TEST_F(Screen, AKeyboardAloneChecksABrakeAndBrowsesTheHistory) {
   ASSERT_TRUE(browser_->becomes("document.querySelectorAll('#parameters .mark').length === 7"));
   picture("pass");
   EXPECT_EQ(browser_->text("#verdict-serial"), "EMB-2026-0001");
-  EXPECT_THAT(browser_->text("#parameters"), AllOf(HasSubstr("k1"), HasSubstr("ws"), HasSubstr("±")));
+  EXPECT_THAT(browser_->text("#parameters"),
+              AllOf(HasSubstr("stiffness k2"), HasSubstr("ws"), HasSubstr("±")));
+  // What is said to be two standard deviations is two.
+  const nlohmann::json k2 =
+      nlohmann::json::parse(browser_->value(asked("/v1/results/last")).get<std::string>())
+          .at("parameters")
+          .at(1);
+  const std::string shown = browser_->value("document.querySelectorAll('#parameters .value')[1].textContent");
+  EXPECT_NEAR(std::stod(shown.substr(shown.find("±") + 3)), 2.0 * k2.at("sd").get<double>(),
+              0.3 * k2.at("sd").get<double>())
+      << shown;
   EXPECT_THAT(browser_->text("#timing-text"), HasSubstr("skipped"));
   EXPECT_EQ(browser_->value("document.getElementById('serial').value"), "") << "ready for the next scan";
 
@@ -112,7 +135,11 @@ TEST_F(Screen, AKeyboardAloneChecksABrakeAndBrowsesTheHistory) {
   browser_->type(kDown);
   ASSERT_TRUE(browser_->becomes("document.querySelector('#past-force .measured')"));
   EXPECT_THAT(browser_->text("#history-detail"),
-              AllOf(HasSubstr("EMB-2026-0001"), HasSubstr("PASS"), HasSubstr("k2")));
+              AllOf(HasSubstr("EMB-2026-0001"), HasSubstr("PASS"), HasSubstr("k2"), HasSubstr("UTC")));
+  EXPECT_THAT(browser_->text("#history-list"), HasSubstr(" UTC"));
+  const std::string table =
+      browser_->value("decodeURIComponent(document.getElementById('export-csv').href)").get<std::string>();
+  EXPECT_THAT(table, AllOf(HasSubstr("record,serial,started"), HasSubstr("\"EMB-2026-0001\"")));
   picture("history");
   EXPECT_EQ(browser_->value("document.images.length"), 0);
   EXPECT_NE(browser_->value("document.title"), "owned");
@@ -155,7 +182,8 @@ TEST_F(Screen, AnErrorNamesItsCause) {
   browser_->type(std::string("EMB-2026-0003") + kEnter);
   ASSERT_TRUE(shows("ERROR", 120)) << browser_->text("#verdict");
   picture("error-with-cause");
-  EXPECT_THAT(browser_->text("#verdict-cause"), HasSubstr("force-lag"));
+  EXPECT_THAT(browser_->text("#verdict-cause"), HasSubstr("the force reading comes late (force-lag)"));
+  EXPECT_THAT(browser_->text("#verdict-action"), HasSubstr("force sensor"));
 }
 
 TEST_F(Screen, EscapeStopsTheBrakeAndCClearsButAScannerClearsNothing) {
@@ -164,7 +192,7 @@ TEST_F(Screen, EscapeStopsTheBrakeAndCClearsButAScannerClearsNothing) {
   browser_->type(std::string("EMB-2026-0004") + kEnter);
   ASSERT_TRUE(browser_->becomes("document.getElementById('run-name').textContent === '1'"));
   browser_->type(std::string("EMB-2026-0005") + kEnter);
-  EXPECT_TRUE(browser_->becomes("document.getElementById('message').textContent.includes('under way')"));
+  EXPECT_TRUE(browser_->becomes("document.getElementById('aside').textContent.includes('under way')"));
   browser_->type(kEscape);
   ASSERT_TRUE(shows("ABORTED"));
   ASSERT_TRUE(browser_->becomes(
@@ -172,7 +200,12 @@ TEST_F(Screen, EscapeStopsTheBrakeAndCClearsButAScannerClearsNothing) {
   picture("aborted");
   EXPECT_THAT(browser_->text("#fault-name"), HasSubstr("operator-stop"));
   browser_->type("c-4711");
-  EXPECT_FALSE(browser_->becomes("document.getElementById('fault').hidden", 1));
+  // It is no command but a serial number, which may wait for the station in its field.
+  EXPECT_TRUE(browser_->becomes("document.getElementById('serial').value === 'c-4711'"));
+  browser_->type(kEnter);
+  EXPECT_TRUE(
+      browser_->becomes("document.getElementById('aside-text').textContent.startsWith('c-4711 was not')"));
+  EXPECT_EQ(browser_->text("#state"), "FAULT");
   browser_->type("c");
   EXPECT_TRUE(browser_->becomes("document.getElementById('state').textContent === 'IDLE'"));
   EXPECT_EQ(browser_->text("#verdict-word"), "ABORTED") << "stays until the next start";
@@ -183,6 +216,9 @@ TEST_F(Screen, WithoutTheTokenItMayOnlyLook) {
   ASSERT_TRUE(shows("READY", 15));
   ASSERT_TRUE(browser_->becomes(
       "!document.getElementById('unlock').hidden && document.getElementById('entry').hidden"));
+  EXPECT_GT(browser_->value("document.getElementById('stop').getBoundingClientRect().height").get<double>(),
+            50.0)
+      << "a stop asks for no token, the station decides";
   picture("locked");
   const std::string post =
       "(() => { const r = new XMLHttpRequest(); r.open('POST', '/v1/checks', false);"
@@ -194,6 +230,132 @@ TEST_F(Screen, WithoutTheTokenItMayOnlyLook) {
   EXPECT_TRUE(browser_->becomes("!document.getElementById('entry').hidden"));
   browser_->type(std::string("EMB-2026-0006") + kEnter);
   EXPECT_TRUE(shows("PASS"));
+}
+
+TEST_F(Screen, AHungDaemonIsSaidInFullSizeUntilItAnswersAgain) {
+  start(kGoodBrake, 2);
+  ASSERT_TRUE(shows("READY", 15));
+  browser_->type(std::string("EMB-2026-0010") + kEnter);
+  ASSERT_TRUE(shows("PASS"));
+  daemon_->send(SIGSTOP);
+  EXPECT_TRUE(shows("NO ANSWER"));
+  EXPECT_THAT(browser_->text("#verdict"), AllOf(Not(HasSubstr("PASS")), Not(HasSubstr("EMB-2026-0010"))));
+  EXPECT_EQ(browser_->text("#state"), "NO ANSWER");
+  EXPECT_GT(
+      browser_->value("document.getElementById('verdict-word').getBoundingClientRect().height").get<double>(),
+      80.0);
+  picture("no-answer");
+  daemon_->send(SIGCONT);
+  EXPECT_TRUE(shows("PASS"));
+  EXPECT_EQ(browser_->text("#state"), "IDLE");
+}
+
+TEST_F(Screen, WhatWasNotStartedIsNotStartedByTheNextEnter) {
+  start(kGoodBrake, 6);
+  ASSERT_TRUE(shows("READY", 15));
+  browser_->type(std::string("EMB-A") + kEnter);
+  ASSERT_TRUE(shows("RUNNING"));
+  browser_->type(std::string("EMB-B") + kEnter);
+  ASSERT_TRUE(browser_->becomes("!document.getElementById('aside').hidden"));
+  EXPECT_THAT(browser_->text("#aside"), HasSubstr("EMB-B was not started: a check of EMB-A is under way"));
+  EXPECT_EQ(browser_->value("document.getElementById('serial').value"), "");
+  browser_->type("EMB-C");  // by a scanner that sends no Enter
+  ASSERT_TRUE(shows("PASS"));
+  EXPECT_EQ(browser_->text("#verdict-serial"), "EMB-A");
+  browser_->type(kEnter);
+  EXPECT_TRUE(
+      browser_->becomes("document.getElementById('aside-text').textContent.startsWith('EMB-C was not')"));
+  EXPECT_EQ(browser_->value("document.getElementById('serial').value"), "");
+  browser_->type(kEnter);
+  EXPECT_TRUE(browser_->becomes("document.getElementById('message').textContent.includes('Scan or type')"));
+  EXPECT_EQ(nlohmann::json::parse(browser_->value(asked("/v1/status")).get<std::string>()).at("serial"),
+            "EMB-A");
+  picture("not-started");
+  // Asked for by name it is.
+  browser_->value("document.getElementById('aside-use').click()");
+  EXPECT_EQ(browser_->value("document.getElementById('serial').value"), "EMB-C");
+  browser_->type(kEnter);
+  EXPECT_TRUE(browser_->becomes("document.getElementById('verdict-serial').textContent === 'EMB-C'"));
+}
+
+TEST_F(Screen, OnASlowNetworkNoBrakeIsTakenForThePreviousOne) {
+  start(kGoodBrake, 2);
+  ASSERT_TRUE(shows("READY", 15));
+  browser_->type(std::string("EMB-A") + kEnter);
+  ASSERT_TRUE(shows("PASS"));
+  browser_->delay_network(400);
+  browser_->value(
+      "(window.shown = [], new MutationObserver(() => window.shown.push("
+      "document.getElementById('verdict-word').textContent + ' ' + "
+      "document.getElementById('verdict-serial').textContent)).observe(document.getElementById('verdict'), "
+      "{childList: true, subtree: true, characterData: true}), 1)");
+  browser_->type(std::string("EMB-B") + kEnter);
+  ASSERT_TRUE(browser_->becomes("window.shown.includes('PASS EMB-B')", 60));
+  const std::string shown = browser_->value("window.shown.join()").get<std::string>();
+  EXPECT_THAT(shown, HasSubstr("RUNNING EMB-B"));
+  EXPECT_THAT(shown, Not(HasSubstr("ING EMB-A"))) << "STARTING, RUNNING or JUDGING";
+}
+
+TEST_F(Screen, AScanInTheHistoryGoesToTheField) {
+  start(kGoodBrake, 2);
+  ASSERT_TRUE(shows("READY", 15));
+  browser_->type(kF3);
+  ASSERT_TRUE(browser_->becomes("!document.getElementById('view-history').hidden"));
+  browser_->type(std::string("EMB-2026-0011") + kEnter);
+  EXPECT_TRUE(browser_->becomes("document.getElementById('message').textContent.includes('EMB-2026-0011')"));
+  EXPECT_EQ(browser_->value("document.getElementById('view-station').hidden"), false);
+  EXPECT_EQ(browser_->value("document.getElementById('serial').value"), "EMB-2026-0011");
+  EXPECT_EQ(browser_->text("#verdict-word"), "READY") << "a scan that was meant to search starts nothing";
+  browser_->type(kEnter);
+  EXPECT_TRUE(shows("PASS"));
+  EXPECT_EQ(browser_->text("#verdict-serial"), "EMB-2026-0011");
+}
+
+TEST_F(Screen, ABrakeThatStaysClampedIsSaidInFullSize) {
+  constexpr std::array kHold{ManoeuvreSegment{.duration_s = 0.5, .force_N = 20e3},
+                             ManoeuvreSegment{.duration_s = 5.0, .force_N = 20e3},
+                             ManoeuvreSegment{.duration_s = 0.5, .force_N = 2e3}};
+  const auto hold = follow_segments("hold", kHold, BrakeParameters{});
+  ASSERT_TRUE(hold) << hold.error().message;
+  ASSERT_TRUE(write_run(folder_.path("hold.csv"), *hold));
+  start(kGoodBrake, 1, true, "", "trajectory = \"hold.csv\"\n");
+  ASSERT_TRUE(shows("READY", 15));
+  EXPECT_EQ(browser_->value("document.getElementById('clamped').hidden"), true);
+  browser_->type(std::string("EMB-2026-0012") + kEnter);
+  ASSERT_TRUE(browser_->becomes("/1[89]\\.|2[01]\\./.test(document.getElementById('link').textContent)"));
+  browser_->type(kEscape);
+  ASSERT_TRUE(shows("ABORTED"));
+  ASSERT_TRUE(browser_->becomes("!document.getElementById('clamped').hidden"));
+  EXPECT_THAT(browser_->text("#clamped"), AllOf(HasSubstr("CLAMPED"), HasSubstr("kN"), HasSubstr("OPEN")));
+  EXPECT_GT(browser_->value("document.getElementById('clamped-force').getBoundingClientRect().height")
+                .get<double>(),
+            50.0);
+  picture("clamped");
+  browser_->type("c");
+  ASSERT_TRUE(browser_->becomes("document.getElementById('state').textContent === 'IDLE'"));
+  EXPECT_EQ(browser_->value("document.getElementById('clamped').hidden"), false) << "cleared is not opened";
+  browser_->type(kF3);
+  EXPECT_GT(
+      browser_->value("document.getElementById('clamped').getBoundingClientRect().height").get<double>(),
+      50.0);
+}
+
+TEST_F(Screen, OnAPhoneNothingRunsOffTheScreen) {
+  start(kGoodBrake, 2);
+  browser_->resize(390, 844);
+  ASSERT_TRUE(shows("READY", 15));
+  browser_->type(std::string("EMB-2026-0013-with-a-long-number-0123456789") + kEnter);
+  ASSERT_TRUE(shows("PASS"));
+  ASSERT_TRUE(browser_->becomes("document.querySelectorAll('#parameters .mark').length === 7"));
+  EXPECT_EQ(browser_->value(kBeyondTheScreen), "");
+  picture("phone");
+  browser_->type(kF3);
+  browser_->type(kDown);
+  ASSERT_TRUE(browser_->becomes("document.querySelector('#past-force .measured')"));
+  EXPECT_EQ(browser_->value(kBeyondTheScreen), "");
+  picture("phone-history");
+  browser_->type(kF4);
+  EXPECT_EQ(browser_->value(kBeyondTheScreen), "");
 }
 
 TEST_F(Screen, APageOfAnotherOriginMovesNothing) {
@@ -239,6 +401,7 @@ TEST_F(Screen, ADaemonThatIsGoneShows) {
   ASSERT_TRUE(shows("READY", 15));
   EXPECT_EQ(daemon_->end(), 0);
   EXPECT_TRUE(browser_->becomes("document.getElementById('state').textContent === 'NO DAEMON'"));
+  EXPECT_EQ(browser_->text("#verdict-word"), "NO DAEMON");
   EXPECT_EQ(browser_->value("document.getElementById('start').getAttribute('aria-disabled')"), "true");
   picture("no-daemon");
 }

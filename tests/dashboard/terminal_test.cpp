@@ -18,8 +18,7 @@
 #include "support/eventually.hpp"
 #include "support/network.hpp"
 #include "support/temporary_directory.hpp"
-
-#include <httplib.h>
+#include "tools/http/client.hpp"
 
 namespace clampd::screen {
 namespace {
@@ -46,7 +45,7 @@ class Terminal : public ::testing::Test {
   }
 
   nlohmann::json status() const {
-    const auto answer = httplib::Client("127.0.0.1", port_).Get("/v1/status");
+    const auto answer = http::exchange("127.0.0.1", port_, {"GET", "/v1/status"});
     return answer ? nlohmann::json::parse(answer->body) : nlohmann::json();
   }
 
@@ -105,6 +104,32 @@ TEST_F(Terminal, WatchSaysThatTheDaemonWentAway) {
   EXPECT_THAT(folder_.read("watch.log"), HasSubstr("no daemon answers"));
 }
 
+TEST_F(Terminal, WatchSaysThatTheDaemonHangsAndGoesOnWhenItAnswers) {
+  const auto lines = clampctl({"watch"}, "watch.log");
+  ASSERT_TRUE(
+      support::eventually([&] { return folder_.read("watch.log").find("IDLE") != std::string::npos; }));
+  daemon_->send(SIGSTOP);
+  EXPECT_TRUE(
+      support::eventually([&] { return folder_.read("watch.log").find("NO ANSWER") != std::string::npos; }));
+  daemon_->send(SIGCONT);
+  EXPECT_TRUE(support::eventually([&] {
+    const std::string log = folder_.read("watch.log");
+    return log.find("IDLE", log.find("NO ANSWER")) != std::string::npos;
+  })) << folder_.read("watch.log");
+  lines->send(SIGINT);
+  EXPECT_EQ(lines->wait(), 0);
+}
+
+TEST_F(Terminal, ADaemonOnASimulatedBrakeIsTheStationOfWhoeverHasNoBus) {
+  folder_.write("embedded.toml", fmt::format("[control]\nport = {}\ntoken_file = \"token\"\n", port_));
+  Program run(
+      {CLAMPCTL, "--config", folder_.path("embedded.toml"), "run", "--serial", "S-9", "--repeats", "1"},
+      folder_.path("run.log"), {"STATE_DIRECTORY=" + folder_.path("other")});
+  EXPECT_EQ(run.wait(), 0) << folder_.read("run.log");
+  EXPECT_EQ(status().at("serial"), "S-9");
+  EXPECT_FALSE(std::filesystem::exists(folder_.path("other"))) << "no second station in this process";
+}
+
 TEST_F(Terminal, TheScreensAddressHasTheToken) {
   EXPECT_EQ(clampctl({"screen"}, "screen.log")->wait(), 0);
   EXPECT_EQ(folder_.read("screen.log"),
@@ -118,7 +143,7 @@ TEST_F(Terminal, ADaemonWritesItsStateAndTokenAndNothingElse) {
   for (const auto& entry : std::filesystem::recursive_directory_iterator(folder_.path("")))
     found.insert(std::filesystem::relative(entry.path(), folder_.path("")).string());
   for (const char* expected :
-       {"station.toml", "daemon.log", "run.log", "token", "home", "state", "state/checks.sqlite"})
+       {"station.toml", "daemon.log", "run.log", "token", "home", "state", "state/simulated.sqlite"})
     EXPECT_EQ(found.erase(expected), 1U) << expected;
   for (const std::string& other : found) EXPECT_THAT(other, ::testing::StartsWith("state/"));
 }

@@ -88,6 +88,19 @@ TEST_P(HiddenEffects, AreNamedAndTheirRemovalLeavesNoise) {
   EXPECT_FALSE(diagnosis.model.effects.empty());
 }
 
+/// Drives that compute a row's torque from the readings of that row.
+class FeedbackInTheRow : public ::testing::TestWithParam<std::uint64_t> {};
+INSTANTIATE_TEST_SUITE_P(Sample, FeedbackInTheRow, ::testing::Values(1, 2, 3));
+
+TEST_P(FeedbackInTheRow, IsNoEffect) {
+  blind::Request request;
+  request.kind = blind::Kind::None;
+  request.feedback = true;
+  request.seed = GetParam();
+  const Diagnosis diagnosis = spoken(sealed(request).runs);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
+}
+
 class HiddenPairs : public ::testing::TestWithParam<std::uint64_t> {};
 // The last: a hum, of which harmonics are sought, though not as those of a cogging.
 INSTANTIATE_TEST_SUITE_P(Sample, HiddenPairs, ::testing::Values(1001, 1004, 930043));

@@ -5,12 +5,12 @@
 
 #include <gtest/gtest.h>
 
+#include "clampd/base/nan.hpp"
 #include "experiment/designs.hpp"
 
 namespace clampd {
 namespace {
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 DesignOptions short_options(std::size_t samples, int starts) {
   DesignOptions options;

@@ -30,6 +30,8 @@ struct Tally {
   std::map<std::string, int> phases;  ///< where the station was seen last before it was killed
   std::size_t acknowledged = 0;
   std::size_t kept = 0;
+  std::size_t interrupted = 0;  ///< of those, on record as not finished
+  std::size_t started = 0;
 };
 
 /// One station, killed again and again on the same state directory.
@@ -47,6 +49,7 @@ class Victim {
     }
     begin();
     ASSERT_TRUE(station_.client().start({.serial = fmt::format("S{}-last", number_)}));
+    ++started_;
     acknowledged_[station_.finished().at("record")] = "PASS";
     EXPECT_EQ(station_.end(SIGTERM), 0) << station_.log();
     judge();
@@ -67,6 +70,7 @@ class Victim {
   /// Some die at any time, some once the verdict is being made, some once it is seen.
   void watch_until_the_end(const std::string& serial) {
     ASSERT_TRUE(station_.client().start({.serial = serial}));
+    ++started_;
     enum class Death { Anytime, Judging, Finished };
     const auto death =
         std::array{Death::Anytime, Death::Anytime, Death::Judging, Death::Finished}[random_() % 4];
@@ -106,16 +110,28 @@ class Victim {
       EXPECT_TRUE(kept.contains(id)) << "an acknowledged check is not on record: " << id;
       EXPECT_EQ(verdict, "PASS");
     }
+    std::size_t interrupted = 0;
     const Result<CheckStore> store = CheckStore::open(station_.database(), CheckStore::Access::ReadOnly);
     ASSERT_TRUE(store) << store.error().message;
     for (const std::string& id : kept) {
       const Result<CheckRecord> record = store->load(id);  // with the checksums of its runs
       ASSERT_TRUE(record) << record.error().message;
+      if (record->verdict == Verdict::Error) {
+        // Killed half way: known by its journal, and never by a verdict that anybody was told.
+        EXPECT_THAT(record->reason, ::testing::HasSubstr("The station ended during the check"));
+        EXPECT_FALSE(acknowledged_.contains(id));
+        ++interrupted;
+        continue;
+      }
       EXPECT_EQ(record->verdict, Verdict::Pass) << record->reason;
       EXPECT_EQ(record->parameters.size(), 7U);
       EXPECT_EQ(record->runs.size(), 1U);
       EXPECT_GT(record->timing.ticks, 0U);
     }
+    const Result<Verification> verified = store->verify();
+    ASSERT_TRUE(verified) << verified.error().message;
+    EXPECT_TRUE(verified->damage.empty()) << verified->damage.front().check << verified->damage.front().what;
+    EXPECT_EQ(verified->checks, kept.size());
     std::vector<std::string> queued;
     std::int64_t sequence = 0;
     SQLite::Statement outbox(
@@ -128,6 +144,8 @@ class Victim {
     const std::lock_guard lock(tally_.mutex);
     tally_.acknowledged += acknowledged_.size();
     tally_.kept += kept.size();
+    tally_.interrupted += interrupted;
+    tally_.started += started_;
   }
 
   int number_;
@@ -136,6 +154,7 @@ class Victim {
   Station station_;
   std::map<std::string, std::string> acknowledged_;  ///< id and verdict that somebody was told
   std::string seen_;
+  std::size_t started_ = 0;
 };
 
 TEST(Kills, LoseAndDoubleNoResult) {
@@ -147,10 +166,11 @@ TEST(Kills, LoseAndDoubleNoResult) {
   for (std::thread& thread : threads) thread.join();
   std::string phases;
   for (const auto& [phase, count] : tally.phases) phases += fmt::format(" {} {},", phase, count);
-  fmt::print("{} kills:{} {} checks on record, {} of them acknowledged\n", kills, phases, tally.kept,
-             tally.acknowledged);
+  fmt::print("{} kills:{} {} of {} checks on record, {} of them acknowledged, {} as not finished\n", kills,
+             phases, tally.kept, tally.started, tally.acknowledged, tally.interrupted);
   EXPECT_GE(tally.phases.size(), 4U) << "the kills should fall anywhere in a check";
   EXPECT_GE(tally.acknowledged, static_cast<std::size_t>(kills) / 5);
+  EXPECT_GE(tally.interrupted, static_cast<std::size_t>(kills) / 5);
 }
 
 }  // namespace

@@ -25,6 +25,9 @@ class Station {
   int end(int signal);
 
   const control::Client& client() const { return client_; }
+  int port() const { return port_; }
+  /// The control API's; empty before the daemon has made it.
+  std::string token() const { return folder_.read("token").substr(0, 64); }
   std::string database() const { return folder_.path("state/checks.sqlite"); }
   const support::TemporaryDirectory& folder() const { return folder_; }
   std::string log() const { return folder_.read("log"); }

@@ -39,6 +39,7 @@ class Station {
     StationConfiguration configuration;
     configuration.can.interface = "simulated";
     configuration.database = folder_.path("checks.sqlite");
+    configuration.control.port = 0;  // any
     configuration.control.token_file = folder_.write("token", std::string(kToken) + "\n");
     ::chmod(configuration.control.token_file.c_str(), 0600);
     auto prepared = assembly::prepare_station(configuration);
@@ -51,7 +52,7 @@ class Station {
       CLAMPD_ASSERT(store_->save(support::make_check_record(id)));
     bench_ = std::make_unique<assembly::SimulatedBench>(*station_, *plant);
     daemon_ = std::make_unique<daemon::Daemon>(*station_, *bench_, *store_);
-    auto server = daemon::ControlServer::start(*daemon_, "127.0.0.1", 0, configuration.control.token_file);
+    auto server = daemon::ControlServer::start(*daemon_, configuration.control);
     CLAMPD_ASSERT(server);
     server_ = std::move(*server);
   }

@@ -80,7 +80,7 @@ Study study(Method method, const NoiseLevels& noise, int checks, std::size_t rep
   Bench bench(noise, seed);
   ParameterVector square = ParameterVector::Zero();
   for (int i = 0; i < checks; ++i) {
-    const Estimate estimate = identify(method, bench.runs(repeats), options);
+    const Estimate estimate = identify_brake(method, bench.runs(repeats), options);
     if (!estimate.converged()) continue;
     ++result.converged;
     const ParameterVector error = normalised_error(estimate);
@@ -188,8 +188,8 @@ TEST(MonteCarlo, OutputErrorsConvergeFromHalfToOneAndAHalfTimesTheTruth) {
     const std::vector<clampd::Run> runs = bench.runs(1);
     EstimatorOptions options;
     for (double& value : options.start.theta) value *= factor(bench.generator());
-    const Estimate far = identify(Method::OutputError, runs, options);
-    const Estimate near = identify(Method::OutputError, runs, {});
+    const Estimate far = identify_brake(Method::OutputError, runs, options);
+    const Estimate near = identify_brake(Method::OutputError, runs, {});
     const ParameterVector difference = normalised_error(far) - normalised_error(near);
     same += far.converged() && near.converged() && difference.dot(information * difference) < 1.0;
   }
@@ -211,7 +211,7 @@ TEST(MonteCarlo, RunsThatDifferAreNoticed) {
         brake.theta[TC] *= 1.0 + spread * normal(bench.generator());
         runs.push_back(bench.runs(1, brake).front());
       }
-      const Estimate estimate = identify(Method::PredictionError, runs, {});
+      const Estimate estimate = identify_brake(Method::PredictionError, runs, {});
       ASSERT_TRUE(estimate.converged()) << estimate.message;
       differ += estimate.runs_differ;
       const double error = normalised_error(estimate)[TC];

@@ -70,9 +70,9 @@ TEST(PredictionError, StartsWarmAndStaysAtTheOptimum) {
 
 TEST(PredictionError, OfAMethodIsWhatIdentifyGives) {
   const clampd::Run run = strong_run(3);
-  EXPECT_EQ(identify(Method::PredictionError, {&run, 1}, {}).parameters.theta,
+  EXPECT_EQ(identify_brake(Method::PredictionError, {&run, 1}, {}).parameters.theta,
             identify_prediction_error({&run, 1}, {}).parameters.theta);
-  EXPECT_EQ(identify(Method::OutputError, {&run, 1}, {}).parameters.theta,
+  EXPECT_EQ(identify_brake(Method::OutputError, {&run, 1}, {}).parameters.theta,
             identify_output_error({&run, 1}, {}).parameters.theta);
   for (const Method method : {Method::OutputError, Method::PredictionError})
     EXPECT_EQ(parse_method(to_string(method)), method);
@@ -100,7 +100,7 @@ TEST(Held, AnySubsetStaysAndTheOthersAreRight) {
       if (options.held[i])
         options.start.theta[static_cast<Eigen::Index>(i)] = truth.theta[static_cast<Eigen::Index>(i)];
     for (const Method method : {Method::OutputError, Method::PredictionError}) {
-      const Estimate estimate = identify(method, runs, options);
+      const Estimate estimate = identify_brake(method, runs, options);
       const Estimate& with_all = all[method == Method::OutputError ? 0 : 1];
       ASSERT_TRUE(estimate.converged()) << trial << ' ' << estimate.message;
       const ParameterVector deviations = in_deviations(estimate, truth);
@@ -162,9 +162,9 @@ TEST(Loss, RobustForgivesSpikesThatSquaredDoesNot) {
       for (int spike = 0; spike < 6; ++spike) run.force_N[generator() % 300] += 2000.0;
       EstimatorOptions options;
       options.noise_torque_Nm = noise.torque_Nm;
-      const Estimate squared = identify(method, {&run, 1}, options);
+      const Estimate squared = identify_brake(method, {&run, 1}, options);
       options.loss = Loss::Robust;
-      const Estimate robust = identify(method, {&run, 1}, options);
+      const Estimate robust = identify_brake(method, {&run, 1}, options);
       ASSERT_TRUE(robust.converged()) << i << ' ' << robust.message;
       EXPECT_LT(in_deviations(robust, truth).cwiseAbs().maxCoeff(), 3.5) << to_string(method) << ' ' << i;
       // In one and the same measure: the robust estimate's covariance.

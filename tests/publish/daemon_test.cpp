@@ -92,7 +92,7 @@ TEST_F(PublishingDaemon, PublishesItsChecksAndSaysWhatWaits) {
   EXPECT_EQ(line.documents(kTopic)[0].at("record"), first.at("record"));
   EXPECT_EQ(line.documents(kTopic)[0].at("verdict"), first.at("verdict"));
   EXPECT_TRUE(eventually([&] { return channel("mqtt").at("pending") == 0; }));
-  const std::string doctor = clampctl("doctor --seconds 0");
+  const std::string doctor = clampctl("doctor --seconds 0.5");
   EXPECT_THAT(doctor, HasSubstr("answers, nothing waits"));
   EXPECT_THAT(doctor, HasSubstr("publishing, mqtt"));
   EXPECT_TRUE(channel("mqtt").at("connected")) << "the doctor does not end the daemon's connection";

@@ -1,4 +1,5 @@
 #include <cstdlib>
+#include <filesystem>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -128,7 +129,13 @@ TEST_F(Mqtt, SaysWhatTheBrokerRefuses) {
   wrong.user = "nobody";
   support::TemporaryDirectory folder;
   wrong.password_file = folder.write("password", "secret\n");
+  namespace fs = std::filesystem;
+  fs::permissions(wrong.password_file, fs::perms(0644));
   station.save_up_to(1);
+  station.start(make_mqtt_channel(wrong));
+  ASSERT_TRUE(eventually([&] { return !station.status().error.empty(); }));
+  EXPECT_THAT(station.status().error, HasSubstr("everybody on this machine may read the password"));
+  fs::permissions(wrong.password_file, fs::perms(0600));
   station.start(make_mqtt_channel(wrong));
   ASSERT_TRUE(eventually([&] { return !station.status().error.empty(); }));
   EXPECT_THAT(station.status().error, HasSubstr("refuses the station"));

@@ -11,9 +11,8 @@ namespace {
 
 TEST(Names, EveryEnumeratorHasAnOwnName) {
   std::set<std::string_view> causes;
-  for (int i = 0; i <= static_cast<int>(FaultCause::StartButtonStuck); ++i)
-    causes.insert(to_string(static_cast<FaultCause>(i)));
-  EXPECT_EQ(causes.size(), static_cast<std::size_t>(FaultCause::StartButtonStuck) + 1);
+  for (std::size_t i = 0; i < kFaultCauseCount; ++i) causes.insert(to_string(static_cast<FaultCause>(i)));
+  EXPECT_EQ(causes.size(), kFaultCauseCount);
   EXPECT_EQ(causes.count("?"), 0u);
 
   std::set<std::string_view> phases;

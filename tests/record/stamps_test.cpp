@@ -1,3 +1,5 @@
+#include <cstdint>
+#include <limits>
 #include <set>
 #include <string>
 
@@ -20,11 +22,19 @@ TEST(Utc, IsRfc3339) {
   EXPECT_EQ(format_utc(1'795'218'067'123'999'999), "2026-11-20T23:41:07.123Z");
 }
 
+TEST(Utc, IsWellFormedBefore1970Too) {
+  EXPECT_EQ(format_utc(-1), "1969-12-31T23:59:59.999Z");
+  EXPECT_EQ(format_utc(-1'000'000'000), "1969-12-31T23:59:59.000Z");
+  EXPECT_EQ(format_utc(std::numeric_limits<std::int64_t>::max()), "2262-04-11T23:47:16.854Z");
+}
+
 TEST(Utc, ReadsWhatItWrites) {
   EXPECT_EQ(parse_utc("2026-11-20T23:41:07.123Z"), 1'795'218'067'123'000'000);
   EXPECT_EQ(parse_utc(format_utc(0)), 0);
-  for (const char* wrong : {"", "2026-11-20", "2026-11-20T23:41:07Z", "2026-02-30T00:00:00.000Z",
-                            "2026-11-20T24:00:00.000Z", "2026-11-20T23:41:07.123Z "})
+  for (const char* wrong :
+       {"", "2026-11-20", "2026-11-20T23:41:07Z", "2026-02-30T00:00:00.000Z", "2026-11-20T24:00:00.000Z",
+        "2026-11-20T23:41:07.123Z ", "1969-12-31T23:59:59.999Z", "2262-04-11T23:47:16.854Z",
+        "9999-12-31T00:00:00.000Z", "-001-01-01T00:00:00.000Z"})
     EXPECT_FALSE(parse_utc(wrong)) << wrong;
 }
 

@@ -1,8 +1,10 @@
 // The records' commands as a user runs them: exit codes, files, messages.
 
+#include <algorithm>
 #include <filesystem>
 #include <string>
 
+#include <SQLiteCpp/SQLiteCpp.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -60,6 +62,13 @@ TEST_F(RecordsCommands, ExportWhatWasChosen) {
   EXPECT_EQ(outcome.exit_code, 2);
   EXPECT_FALSE(std::filesystem::exists(folder_.path("none.dfq")));
 
+  outcome = clampctl("results last --csv - --dfq one.dfq");
+  EXPECT_THAT(outcome.output, AllOf(HasSubstr("record,serial"), HasSubstr(",C,"), Not(HasSubstr(",A,")),
+                                    HasSubstr("1 check exported")));
+  EXPECT_THAT(folder_.read("one.dfq"), AllOf(HasSubstr("K0014/0 C\r\n"), Not(HasSubstr("K0014/0 A\r\n"))));
+  EXPECT_FALSE(std::filesystem::exists(folder_.path("-")));
+  EXPECT_EQ(clampctl("results none --csv one.csv").exit_code, 2);
+
   outcome = clampctl("statistics");
   EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
   EXPECT_THAT(outcome.output, HasSubstr("3 brakes"));
@@ -71,8 +80,89 @@ TEST_F(RecordsCommands, ExportWhatWasChosen) {
   EXPECT_THAT(outcome.output, HasSubstr("every operator must measure every part"));
 }
 
+TEST_F(RecordsCommands, RunsAndLastSamplesOfACheckAreExported) {
+  check("--serial A");
+  Outcome outcome = clampctl("results last --runs runs");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_TRUE(std::filesystem::exists(folder_.path("runs/run-02.csv")));
+  EXPECT_EQ(clampctl("results last --runs runs").exit_code, 2) << "no file is overwritten";
+  outcome = clampctl("identify runs/run-01.csv runs/run-02.csv");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+  outcome = clampctl("results last --flight -");
+  EXPECT_EQ(outcome.exit_code, 2);
+  EXPECT_THAT(outcome.output, HasSubstr("did not end in a fault"));
+  EXPECT_EQ(clampctl("results --runs runs").exit_code, 2);
+
+  folder_.write("silent.toml", "[[fault]]\nkind = \"silent\"\nat_s = 1.5\nduration_s = 100.0\n");
+  check("--serial B --simulated-brake silent.toml", 3);
+  outcome = clampctl("results last --flight flight.csv");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+  const std::string flight = folder_.read("flight.csv");
+  EXPECT_THAT(flight, HasSubstr("torque_command_Nm"));
+  EXPECT_GT(std::count(flight.begin(), flight.end(), '\n'), 100);
+  if (report::can_draw()) {
+    outcome = clampctl("report B --out b.html");
+    EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+    EXPECT_THAT(folder_.read("b.html"), HasSubstr("The last samples before the fault"));
+  }
+}
+
+TEST_F(RecordsCommands, AVoidRecordStaysAndCountsNowhere) {
+  check("--serial A");
+  check("--serial B");
+  EXPECT_EQ(clampctl("results --void reason").exit_code, 2);
+  EXPECT_EQ(clampctl("results last --void ' '").exit_code, 2);
+  Outcome outcome = clampctl("results last --void 'the wrong brake'");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(clampctl("results last").output, HasSubstr("the wrong brake"));
+  const auto statistics = nlohmann::json::parse(clampctl("statistics --json").output);
+  EXPECT_EQ(statistics.at("checks"), 1);
+  EXPECT_EQ(statistics.at("void"), 1);
+  EXPECT_THAT(clampctl("results").output, HasSubstr("PASS VOID"));
+  EXPECT_EQ(clampctl("records verify").exit_code, 0);
+}
+
+TEST_F(RecordsCommands, AreVerifiedBackedUpAndRestored) {
+  check("--serial A");
+  check("--serial B");
+  Outcome outcome = clampctl("records verify");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, AllOf(HasSubstr("2 checks, 4 raw runs"), HasSubstr("All as it was recorded")));
+  EXPECT_EQ(clampctl("records backup copy.sqlite").exit_code, 0);
+  EXPECT_EQ(clampctl("records verify copy.sqlite").exit_code, 0);
+  const std::string id =
+      nlohmann::json::parse(clampctl("results --serial A --json").output).at("checks")[0].at("record");
+  SQLite::Database(folder_.path("state/simulated.sqlite"), SQLite::OPEN_READWRITE)
+      .exec("UPDATE checks SET verdict = 1 WHERE serial = 'A'");
+  outcome = clampctl("records verify --json");
+  EXPECT_EQ(outcome.exit_code, 3);
+  const auto found = nlohmann::json::parse(outcome.output);
+  EXPECT_EQ(found.at("damage")[0].at("record"), id);
+  EXPECT_THAT(clampctl("results " + id).output, HasSubstr("was changed after it was recorded"));
+  EXPECT_EQ(clampctl("results last").exit_code, 0);
+  outcome = clampctl("records restore copy.sqlite");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("simulated.sqlite.before-"));
+  EXPECT_EQ(clampctl("results " + id).exit_code, 0);
+  folder_.write("damaged.sqlite", std::string(8192, 'x'));
+  EXPECT_EQ(clampctl("records verify damaged.sqlite").exit_code, 3);
+  EXPECT_EQ(clampctl("records verify none.sqlite").exit_code, 2);
+  EXPECT_EQ(clampctl("records restore damaged.sqlite").exit_code, 2);
+  EXPECT_EQ(clampctl("records").exit_code, 2);
+}
+
+TEST_F(RecordsCommands, OneBrakeHasOneSerialNumber) {
+  check("--serial '  X ' --operator ' Jo'");
+  check("--serial X --operator Jo");
+  const auto listed = nlohmann::json::parse(clampctl("results --serial X --operator Jo --json").output);
+  EXPECT_EQ(listed.at("checks").size(), 2U);
+  Outcome outcome = clampctl("run --serial \"$(printf 'M\\374ller')\" --repeats 2");
+  EXPECT_EQ(outcome.exit_code, 2) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("the serial number is no UTF-8"));
+}
+
 TEST_F(RecordsCommands, PruneSaysFirstWhatItWouldDo) {
-  folder_.write("all.toml", "");
+  folder_.write("all.toml", "[retention]\nraw_megabytes = 0\n");
   folder_.write("some.toml", "[retention]\nraw_days = 1\n");
   check("--serial A");
   EXPECT_EQ(clampctl("results --config all.toml --prune").exit_code, 2);

@@ -39,7 +39,7 @@ const SimulatedStudy& simulated_study() {
       for (int op = 0; op < kOperators; ++op)
         for (int repeat = 0; repeat < kRepeats; ++repeat) {
           plant.seed = static_cast<std::uint64_t>(1 + brake * 100 + op * 10 + repeat);
-          CheckRecord check = assembly::check(plant, 2);
+          CheckRecord check = assembly::check(plant, 3);  // of two, one pair in a thousand contradicts itself
           EXPECT_EQ(check.verdict, Verdict::Pass) << check.reason;
           check.serial = "brake " + std::to_string(brake);
           check.operator_name = "operator " + std::to_string(op);

@@ -55,7 +55,36 @@ TEST(LineStatistics, NameTheRuleAndTheBrake) {
   EXPECT_EQ(found.parameters[0].upper, 41.0);
   const std::string text = format_statistics(found);
   EXPECT_THAT(text, ::testing::ContainsRegex("k2 +S17 +Nelson 1 \\(Western Electric 1\\)"));
-  EXPECT_THAT(text, ::testing::ContainsRegex("k2 +S17 +moving range"));
+  EXPECT_THAT(text, ::testing::ContainsRegex("k2 +S17 .*; moving range"));
+}
+
+TEST(LineStatistics, NeverMixSimulatedAndRealBrakesAndLeaveOutVoidOnes) {
+  std::vector<CheckRecord> checks{check(4, "D", 36.0), check(3, "C", 99.0), check(2, "B", 35.0),
+                                  check(1, "A", 34.0)};
+  checks[1].voided = VoidRecord{"the wrong brake", "ada", ""};
+  LineStatistics found = line_statistics(checks, "");
+  EXPECT_THAT(found.serials, ElementsAre("A", "B", "D"));
+  EXPECT_EQ(found.voided, 1U);
+  EXPECT_FALSE(found.simulated_left_out) << "there is nothing else";
+  checks[0].simulated = false;
+  checks[2].simulated = false;
+  found = line_statistics(checks, "");
+  EXPECT_THAT(found.serials, ElementsAre("B", "D"));
+  EXPECT_EQ(found.checks, 2U);
+  EXPECT_EQ(found.simulated, 1U);
+  EXPECT_TRUE(found.simulated_left_out);
+  EXPECT_THAT(format_statistics(found), HasSubstr("1 SIMULATED are left out"));
+}
+
+TEST(LineStatistics, ColumnsOfLongNamesDoNotTouch) {
+  std::vector<CheckRecord> checks{check(2, "B", 35.0), check(1, "A", 34.0)};
+  for (CheckRecord& each : checks) {
+    ParameterRecord& long_one = each.parameters.emplace_back(each.parameters[0]);
+    long_one.name = "force-hysteresis.half_width";
+    long_one.value = -1.2345e-11 * long_one.value;
+  }
+  const std::string text = format_statistics(line_statistics(checks, ""));
+  EXPECT_THAT(text, ::testing::ContainsRegex("force-hysteresis.half_width  +-4.2"));
 }
 
 TEST(LineStatistics, OfNothing) {

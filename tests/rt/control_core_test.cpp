@@ -75,7 +75,7 @@ const Injection kRunningInjections[] = {
      [](ToyStation&) { ToySequence::torque_Nm = std::numeric_limits<double>::quiet_NaN(); }, good_sequence},
     {FaultCause::SequenceTimeout, [](ToyStation&) { ToySequence::fault = FaultCause::SequenceTimeout; },
      good_sequence},
-    {FaultCause::OperatorStop, [](ToyStation& s) { s.core.requests().stop = true; }, nothing},
+    {FaultCause::OperatorStop, [](ToyStation& s) { s.stop(); }, nothing},
     {FaultCause::SampleLost, [](ToyStation& s) { ++s.port.sample_index; }, nothing},
     {FaultCause::MissedTicks, [](ToyStation& s) { s.tick(3); }, nothing, 0},
 };
@@ -111,7 +111,7 @@ void expect_stop_and_recovery(const Injection& injection, StationState state) {
   // Nothing moves until the operator clears, also if the cause goes and a check is asked for.
   const std::uint64_t driven = station.port.driven_sends;
   injection.heal(station);
-  station.core.requests().plan = &station.plan;
+  station.start();
   station.ticks(200);
   EXPECT_EQ(station.state(), StationState::Fault);
   EXPECT_EQ(station.core.requests().plan.load(), nullptr) << "refused";
@@ -124,7 +124,7 @@ void expect_stop_and_recovery(const Injection& injection, StationState state) {
 
   // And without a restart the next check runs to its end.
   const std::uint64_t before_next = station.core.status().checks_finished;
-  station.core.requests().plan = &station.plan;
+  station.start();
   station.ticks(400);
   EXPECT_EQ(station.core.status().checks_finished, before_next + 1);
   EXPECT_EQ(station.state(), StationState::Idle);
@@ -161,7 +161,7 @@ TEST(ControlCore, InInitAndFaultNothingEverDrives) {
 TEST(ControlCore, ACheckGoesThroughItsStates) {
   ToyStation station;
   ASSERT_TRUE(station.reach(StationState::Idle));
-  station.core.requests().plan = &station.plan;
+  station.start();
   std::vector<StationState> states;
   for (int i = 0; i < 300; ++i) {
     station.tick();
@@ -184,9 +184,11 @@ TEST(ControlCore, ACheckGoesThroughItsStates) {
 
 TEST(ControlCore, SendsExactlyOnceATickInEveryState) {
   ToyStation station;
-  station.core.requests().plan = &station.plan;  // waits in INIT
-  for (std::uint64_t i = 1; i <= 600; ++i) {
-    if (i == 150) station.core.requests().stop = true;
+  station.tick();
+  station.start();  // waits in INIT
+  ASSERT_EQ(station.port.sends, 1U);
+  for (std::uint64_t i = 2; i <= 600; ++i) {
+    if (i == 150) station.stop();
     if (i == 300) station.port.silent = true;
     station.port.samples_per_tick = i % 4;
     station.tick();
@@ -280,19 +282,126 @@ TEST(ControlCore, AFullRingDropsCountsAndTheCheckGoesOn) {
 TEST(ControlCore, StopWithdrawsAPlanThatWaits) {
   ToyStation station;
   station.tick();
-  station.core.requests().plan = &station.plan;
-  station.core.requests().stop = true;
+  station.start();
+  station.stop();
   station.ticks(200);
   EXPECT_EQ(station.state(), StationState::Idle);
   EXPECT_EQ(station.port.driven_sends, 0U);
   EXPECT_EQ(station.core.status().checks_finished, 1U);
 }
 
+TEST(ControlCore, AStopVoidsEveryStartThatWasAskedForBeforeIt) {
+  ToyStation station;
+  ASSERT_TRUE(station.reach(StationState::Idle));
+  const StartTicket before = station.core.ticket();
+  EXPECT_EQ(station.core.refusal(before), StartRefusal::None);
+  const std::uint64_t stop = station.stop();
+  EXPECT_EQ(station.core.refusal(before), StartRefusal::Stopped) << "at once";
+  EXPECT_LT(station.core.status().stops, stop);
+  station.tick();
+  EXPECT_EQ(station.core.status().stops, stop) << "confirmed by the next tick";
+  station.core.requests().start(station.plan, before);
+  station.ticks(400);
+  EXPECT_EQ(station.port.driven_sends, 0U);
+  EXPECT_EQ(station.core.status().checks_finished, 1U);
+  EXPECT_EQ(station.core.status().end_refusal, StartRefusal::Stopped);
+  EXPECT_EQ(station.state(), StationState::Idle) << "a refusal is no fault";
+}
+
+TEST(ControlCore, AStartThatHasSeenTheStopIsTakenAfterIt) {
+  ToyStation station;
+  ASSERT_TRUE(station.reach(StationState::Idle));
+  station.stop();
+  station.start();  // both before the next tick
+  station.ticks(30);
+  EXPECT_EQ(station.state(), StationState::Running);
+}
+
+TEST(ControlCore, AStartThatWaitedTooLongIsVoid) {
+  for (const int waited_ms : {299, 302}) {
+    ToyStation station;
+    ASSERT_TRUE(station.reach(StationState::Idle));
+    const StartTicket ticket = station.core.ticket();
+    station.ticks(waited_ms);
+    station.core.requests().start(station.plan, ticket);
+    station.ticks(30);
+    EXPECT_EQ(station.state() == StationState::Running, waited_ms < 300);
+    EXPECT_EQ(station.core.status().end_refusal,
+              waited_ms < 300 ? StartRefusal::None : StartRefusal::TooLate);
+  }
+}
+
+TEST(ControlCore, AStartFromBeforeAFaultOrItsClearIsVoid) {
+  ToyStation station;
+  ASSERT_TRUE(station.reach(StationState::Idle));
+  const StartTicket healthy = station.core.ticket();
+  station.core.requests().emergency_stop = true;
+  station.tick();
+  station.core.requests().emergency_stop = false;
+  const StartTicket in_fault = station.core.ticket();
+  station.ticks(60);
+  station.core.requests().clear = true;
+  station.ticks(30);
+  ASSERT_EQ(station.state(), StationState::Idle);
+  for (const StartTicket& ticket : {healthy, in_fault}) {
+    station.core.requests().start(station.plan, ticket);
+    station.ticks(30);
+    EXPECT_EQ(station.core.status().end_refusal, StartRefusal::Fault);
+  }
+  EXPECT_EQ(station.port.driven_sends, 0U);
+}
+
+TEST(ControlCore, APressIsVoidOnceAStopOrAFaultCameAfterIt) {
+  ToyStation station;
+  ASSERT_TRUE(station.reach(StationState::Idle));
+  const std::int64_t pressed_ns = station.now_ns;
+  station.ticks(10);
+  ASSERT_TRUE(station.core.ticket_of(pressed_ns));
+  EXPECT_EQ(station.core.ticket_of(pressed_ns)->asked_ns, pressed_ns);
+  station.stop();
+  EXPECT_FALSE(station.core.ticket_of(pressed_ns));
+  station.ticks(10);
+  const std::int64_t again_ns = station.now_ns;
+  station.ticks(10);
+  ASSERT_TRUE(station.core.ticket_of(again_ns));
+  station.core.requests().emergency_stop = true;
+  station.tick();
+  EXPECT_FALSE(station.core.ticket_of(again_ns));
+}
+
+TEST(ControlCore, TheCauseThatEndedACheckOutlivesItsClear) {
+  ToyStation station;
+  ASSERT_TRUE(station.reach(StationState::Releasing));
+  station.stop();
+  station.tick();
+  station.core.requests().clear = true;
+  station.tick();
+  ASSERT_EQ(station.fault(), FaultCause::None) << "cleared within 2 ms";
+  EXPECT_EQ(station.core.status().checks_finished, 1U);
+  EXPECT_EQ(station.core.status().end_fault, FaultCause::OperatorStop);
+  EXPECT_EQ(station.core.status().end_state, StationState::Releasing);
+  station.ticks(100);
+  station.start();
+  station.ticks(400);
+  EXPECT_EQ(station.core.status().checks_finished, 2U);
+  EXPECT_EQ(station.core.status().end_fault, FaultCause::None) << "of the next check, which reached its end";
+}
+
+TEST(ControlCore, TheDeadlineEndsACheckByItsOwnCause) {
+  ToyStation station;
+  station.plan.deadline_s = 0.1;
+  ASSERT_TRUE(station.reach(StationState::Running));
+  station.ticks(120);
+  EXPECT_EQ(station.fault(), FaultCause::DeadlinePassed);
+  EXPECT_EQ(station.core.status().end_fault, FaultCause::DeadlinePassed);
+  EXPECT_TRUE(station.drive_is_off());
+}
+
 TEST(ControlCore, APlanFromBeforeTheClearDoesNotStartAfterIt) {
   ToyStation station;
   ASSERT_TRUE(station.reach(StationState::Fault));
   station.ticks(100);
-  station.core.requests().plan = &station.plan;
+  station.start();
   station.core.requests().clear = true;
   station.ticks(300);
   EXPECT_EQ(station.state(), StationState::Idle);
@@ -305,7 +414,7 @@ TEST(ControlCore, ShutdownSwitchesTheDriveOffAndEndsTheCheck) {
   station.core.shutdown(station.now_ns);
   EXPECT_TRUE(station.drive_is_off());
   EXPECT_EQ(station.state(), StationState::Fault);
-  EXPECT_EQ(station.fault(), FaultCause::OperatorStop);
+  EXPECT_EQ(station.fault(), FaultCause::StationEnded);
   EXPECT_EQ(station.core.status().checks_finished, 1U);
 }
 
@@ -368,10 +477,10 @@ TEST(ControlCore, OtherThreadsMayUseItsBoardsAtAnyTime) {
     while (!end) {
       const StationState state = status.state;
       if (state == StationState::Idle && requests.plan == nullptr) {
-        requests.plan = &station.plan;
+        station.start();
         ++asked;
       } else if (state == StationState::Releasing) {
-        requests.stop = true;
+        requests.stop(0);
       } else if (status.clearable) {
         requests.clear = true;
       }

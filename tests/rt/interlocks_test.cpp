@@ -43,7 +43,7 @@ struct PanelStation {
       station.core.requests().emergency_stop = false;
       return station.state() == target;
     }
-    station.core.requests().plan = &station.plan;
+    station.start();
     for (int i = 0; i < 500 && station.state() != target; ++i) tick();
     tick();
     return station.state() == target;
@@ -199,8 +199,7 @@ TEST(Interlocks, TheTickDoesNotAllocateForThem) {
       bench.interlocks.start_button_stuck = i % 1700 > 1690;
       bench.interlocks.lost = i % 1900 > 1890;
       bench.silent = i % 2300 > 2280;
-      if (bench.station.state() == StationState::Idle)
-        bench.station.core.requests().plan = &bench.station.plan;
+      if (bench.station.state() == StationState::Idle) bench.station.start();
       if (bench.station.core.status().clearable) bench.station.core.requests().clear = true;
       bench.tick();
       faults += bench.station.state() == StationState::Fault && !in_fault;

@@ -8,6 +8,8 @@
 
 #include <gtest/gtest.h>
 
+#include "rt/toy_station.hpp"
+
 namespace clampd::rt {
 namespace {
 
@@ -16,7 +18,7 @@ constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 /// A supervisor in virtual time with a healthy brake that stands still.
 struct Bench {
   explicit Bench(const SupervisorSettings& settings = {}, const Policy& policy = kPolicy)
-      : supervisor(settings, policy) {}
+      : supervisor(test::without_physics(settings), policy) {}
 
   /// One tick of `samples` samples; `inputs.now_ns` advances by the period.
   void tick(int samples = 1) {
@@ -28,7 +30,7 @@ struct Bench {
       const bool drives = supervisor.in_check();
       feedback.drive_enabled = drives && drive_works;
       supervisor.observe(feedback);
-      supervisor.follow(phase, false);
+      supervisor.follow(phase, false, {});
     }
     supervisor.end_samples();
     supervisor.sent(true, torque_sent_Nm);
@@ -223,7 +225,7 @@ TEST(Supervisor, ImplausibleReadings) {
     EXPECT_EQ(bench.supervisor.fault(), FaultCause::FeedbackImplausible) << force_N;
   }
   Bench bench;
-  bench.reach(StationState::Running);
+  bench.reach(StationState::Idle);
   bench.feedback.position_rad += 2.0;  // a jump that the velocity does not explain
   bench.tick();
   EXPECT_EQ(bench.supervisor.fault(), FaultCause::FeedbackImplausible);
@@ -413,6 +415,28 @@ TEST(Supervisor, AnEventMayBeClearedAtOnce) {
   EXPECT_EQ(bench.supervisor.state(), StationState::Init);
 }
 
+TEST(Supervisor, BeyondTheCeilingNotEvenOpeningIsAllowed) {
+  Bench bench;
+  bench.reach(StationState::Running);
+  bench.torque_sent_Nm = -2.0;
+  bench.feedback.velocity_rad_s = -50.0;
+  bench.feedback.force_N = SupervisorSettings{}.force_ceiling_N - 1.0;
+  bench.ticks(5);
+  EXPECT_EQ(bench.supervisor.state(), StationState::Running);
+  bench.feedback.force_N = SupervisorSettings{}.force_ceiling_N + 1.0;
+  bench.tick();
+  EXPECT_EQ(bench.supervisor.fault(), FaultCause::OverForce);
+}
+
+TEST(GoodRow, StopsCountingLongBeforeItOverflows) {
+  GoodRow row;
+  for (int i = 0; i < GoodRow::kMost + 10; ++i) row.add();
+  EXPECT_EQ(row.count(), GoodRow::kMost);
+  row.restart();
+  row.add();
+  EXPECT_EQ(row.count(), 1);
+}
+
 TEST(Supervisor, SettingsThatCannotWorkAreNamed) {
   EXPECT_TRUE(SupervisorSettings{}.validate());
   SupervisorSettings settings;
@@ -422,6 +446,19 @@ TEST(Supervisor, SettingsThatCannotWorkAreNamed) {
   settings = {};
   settings.plausible_torque_Nm = settings.torque_limit_Nm;
   EXPECT_FALSE(settings.validate());
+  settings = {};
+  settings.force_ceiling_N = settings.force_limit_N - 1.0;
+  EXPECT_FALSE(settings.validate());
+  settings = {};
+  settings.good_samples_to_run = GoodRow::kMost + 1;
+  EXPECT_FALSE(settings.validate());
+  for (double ReadingTolerances::*tolerance :
+       {&ReadingTolerances::torque_Nm, &ReadingTolerances::velocity_rad_s, &ReadingTolerances::position_rad,
+        &ReadingTolerances::force_N}) {
+    settings = {};
+    settings.readings.*tolerance = 0.0;
+    EXPECT_FALSE(settings.validate());
+  }
 }
 
 }  // namespace

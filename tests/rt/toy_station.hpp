@@ -10,6 +10,12 @@
 
 namespace clampd::rt::test {
 
+/// A brake without physics cannot be held to them.
+inline SupervisorSettings without_physics(SupervisorSettings settings = {}) {
+  settings.readings = {1e6, 1e6, 1e6, 1e9};
+  return settings;
+}
+
 /// A healthy brake that stands still and obeys, until told otherwise. Never allocates while it runs.
 class ToyPort final : public BrakePort {
  public:
@@ -113,7 +119,7 @@ using ToyCore = BasicControlCore<ToySequence>;
 struct ToyStation {
   explicit ToyStation(const SupervisorSettings& settings = {}, std::size_t ring_capacity = 4096,
                       InterlockBoard* interlocks = nullptr)
-      : core(port, settings, ring_capacity, kPolicy, interlocks) {
+      : core(port, without_physics(settings), ring_capacity, kPolicy, interlocks) {
     ToySequence::reset();
   }
 
@@ -124,6 +130,8 @@ struct ToyStation {
   void ticks(int count) {
     for (int i = 0; i < count; ++i) tick();
   }
+  void start() { core.requests().start(plan, core.ticket()); }
+  std::uint64_t stop() { return core.requests().stop(now_ns); }
   StationState state() const { return core.status().state.load(); }
   FaultCause fault() const { return core.status().fault.load(); }
   bool drive_is_off() const { return !port.attempted.enable && port.attempted.torque_Nm == 0.0; }
@@ -139,7 +147,7 @@ struct ToyStation {
       core.requests().emergency_stop = false;
       return state() == target;
     }
-    core.requests().plan = &plan;
+    start();
     for (int i = 0; i < 500 && state() != target; ++i) tick();
     tick();  // one further, so that the drive is live in RUNNING
     return state() == target;

@@ -1,3 +1,5 @@
+#include <algorithm>
+#include <cmath>
 #include <functional>
 #include <limits>
 
@@ -103,6 +105,33 @@ TEST_F(CheckSequenceTest, PhasesComeInOrderAndTheBrakeEndsOpen) {
                                  Trajectory, Release, Done}));
   EXPECT_EQ(tare_samples, std::lround(plan_.tare_s / kPeriod_s));
   EXPECT_NEAR(brake.truth().position_rad, -plan_.clearance_rad, 0.3);
+}
+
+TEST_F(CheckSequenceTest, OpensABrakeThatStaysClampedAndNoMore) {
+  plan_.open_only = true;
+  for (const double clearance_rad : {-32.5, -20.0, -5.0, 0.0, 6.0, 26.0}) {
+    SCOPED_TRACE(clearance_rad);
+    sim::PlantConfiguration plant = scenario::noisy_plant();
+    plant.clearance_rad = clearance_rad;
+    sim::SimulatedBrake brake(plant);
+    sequence_.start(&plan_);
+    double force_max_N = 0.0;
+    double force_before_N = -1.0;  // known from the first sample on
+    const SequenceOutput last = run(brake, [&](const SequenceOutput& output) {
+      if (force_before_N < 0.0) force_before_N = brake.truth().force_N;
+      EXPECT_TRUE(output.phase == CheckPhase::Release || output.phase == CheckPhase::Done);
+      EXPECT_EQ(output.trajectory_index, -1);
+      force_max_N = std::max(force_max_N, brake.truth().force_N);
+    });
+    EXPECT_EQ(last.fault, FaultCause::None);
+    EXPECT_TRUE(sequence_.done());
+    EXPECT_EQ(brake.truth().force_N, 0.0);
+    EXPECT_LE(force_max_N, force_before_N + 50.0) << "it never closes";
+    EXPECT_LE(std::abs(brake.truth().velocity_rad_s), 2.0);
+    if (clearance_rad < -1.0) {
+      EXPECT_LT(brake.truth().position_rad, -0.5 * plan_.clearance_rad) << "the clearance is open";
+    }
+  }
 }
 
 TEST_F(CheckSequenceTest, StartsFromWhereverTheBrakeIsFound) {

@@ -4,6 +4,8 @@
 #include <sstream>
 #include <string>
 
+#include <filesystem>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -29,7 +31,7 @@ TEST(StationConfiguration, AnEmptyFileIsTheDefault) {
   EXPECT_TRUE(configuration->simulated_brake);
   EXPECT_EQ(configuration->check.repeats, 20u);
   EXPECT_EQ(configuration->model.theta, nominal_parameters());
-  EXPECT_EQ(configuration->database, default_database());
+  EXPECT_EQ(configuration->database, default_database(true));
 }
 
 TEST(StationConfiguration, RetentionAndMasterBrake) {
@@ -91,6 +93,13 @@ TEST(StationConfiguration, PublishesNowhereUnlessToldWhere) {
               HasSubstr("unknown key password in [mqtt]; known are host"));
 }
 
+TEST(StationConfiguration, OriginsAreAsBrowsersSendThem) {
+  const auto read = parse("[control]\norigins = [\"https://Station7.example\", \"http://[::1]:8443\"]\n");
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_EQ(read->control.origins,
+            (std::vector<std::string>{"https://station7.example", "http://[::1]:8443"}));
+}
+
 TEST(StationConfiguration, AnExtendedModelIsForThePredictionErrorMethod) {
   const auto extended = parse("[check]\nmodel = \"extended.toml\"\ndiagnose = false\n");
   ASSERT_TRUE(extended) << extended.error().message;
@@ -123,12 +132,17 @@ TEST(StationConfiguration, TheShippedFileSaysTheDefaults) {
   EXPECT_EQ(a.implausible_frames_max, b.implausible_frames_max);
   EXPECT_EQ(a.send_failures_max, b.send_failures_max);
   EXPECT_EQ(a.over_force_N, b.over_force_N);
+  EXPECT_EQ(a.over_force_ceiling_N, b.over_force_ceiling_N);
   EXPECT_EQ(a.over_speed_rad_s, b.over_speed_rad_s);
   EXPECT_EQ(a.over_torque_Nm, b.over_torque_Nm);
   EXPECT_EQ(a.over_travel_rad, b.over_travel_rad);
   EXPECT_EQ(a.plausible_force_N, b.plausible_force_N);
   EXPECT_EQ(a.plausible_velocity_rad_s, b.plausible_velocity_rad_s);
   EXPECT_EQ(a.plausible_torque_Nm, b.plausible_torque_Nm);
+  EXPECT_EQ(a.torque_mismatch_Nm, b.torque_mismatch_Nm);
+  EXPECT_EQ(a.velocity_mismatch_rad_s, b.velocity_mismatch_rad_s);
+  EXPECT_EQ(a.position_mismatch_rad, b.position_mismatch_rad);
+  EXPECT_EQ(a.force_mismatch_N, b.force_mismatch_N);
   EXPECT_EQ(a.missed_ticks_max, b.missed_ticks_max);
   EXPECT_EQ(a.missed_ticks_total_max, b.missed_ticks_total_max);
   EXPECT_EQ(a.drive_reports_live, b.drive_reports_live);
@@ -337,8 +351,13 @@ INSTANTIATE_TEST_SUITE_P(
         Refused{"no_name", "[[instruments]]\nserial=\"x\"\n", "1:", "needs a name"},
         Refused{"one_instrument", "[instruments]\nname=\"x\"\n", "1:", "[[instruments]]"},
         Refused{"section_is_number", "check = 3\n", "1:9: ", "must be a table"},
+        Refused{"origin_path", "[control]\norigins = [\"https://a.example/\"]\n",
+                "2:11: ", "https://HOST or https://HOST:PORT"},
+        Refused{"origin_scheme", "[control]\norigins = [\"a.example\"]\n", "2:11: ", "control.origins"},
         Refused{"torque_limits", "[check]\ntorque_limit_Nm = 3.1\n", " ",
                 "must be below supervisor.over_torque_Nm"},
+        Refused{"ceiling", "[supervisor]\nover_force_ceiling_N = 32000\n", " ",
+                "must not be below supervisor.over_force_N"},
         Refused{"contact_force", "[supervisor]\nover_force_N = 250\n", " ",
                 "must be below supervisor.over_force_N"},
         Refused{"embedded_hardware", "[station]\nsimulated_brake = false\n", " ", "embedded simulated one"}),
@@ -346,9 +365,34 @@ INSTANTIATE_TEST_SUITE_P(
 
 TEST(DefaultDatabase, FollowsTheSystemsStateFolder) {
   ::setenv("STATE_DIRECTORY", "/var/lib/one:/var/lib/two", 1);
-  EXPECT_EQ(default_database(), "/var/lib/one/checks.sqlite");
+  EXPECT_EQ(default_database(false), "/var/lib/one/checks.sqlite");
+  EXPECT_EQ(default_database(true), "/var/lib/one/simulated.sqlite");
   ::unsetenv("STATE_DIRECTORY");
-  EXPECT_THAT(default_database(), ::testing::EndsWith("/checks.sqlite"));
+  EXPECT_THAT(default_database(false), ::testing::EndsWith("/checks.sqlite"));
+}
+
+TEST(DefaultDatabase, IsAnotherForSimulatedBrakes) {
+  const auto database_of = [](const std::string& text) {
+    return std::filesystem::path(parse_station_configuration(text, "station.toml")->database)
+        .filename()
+        .string();
+  };
+  EXPECT_EQ(database_of(""), "simulated.sqlite");
+  EXPECT_EQ(database_of("[can]\ninterface = \"vcan0\"\n"), "simulated.sqlite");
+  EXPECT_EQ(database_of("[can]\ninterface = \"can0\"\n"), "checks.sqlite");
+}
+
+TEST(SimulatedBrake, InTheRealOnesPlaceKeepsOutOfItsDatabase) {
+  StationConfiguration real;
+  real.simulated_brake = false;
+  real.database = "/var/lib/clampd/line3.sqlite";
+  simulate_brake(real);
+  EXPECT_TRUE(real.simulated_brake);
+  EXPECT_EQ(real.database, "/var/lib/clampd/simulated.sqlite");
+  StationConfiguration simulated;
+  simulated.database = "/tmp/tried.sqlite";
+  simulate_brake(simulated);
+  EXPECT_EQ(simulated.database, "/tmp/tried.sqlite") << "which is for simulated ones already";
 }
 
 }  // namespace

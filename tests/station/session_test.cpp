@@ -2,11 +2,13 @@
 
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <string>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "clampd/base/nan.hpp"
 #include "clampd/record/checksum.hpp"
 #include "station/sample_stream.hpp"
 #include "support/shipped_limits.hpp"
@@ -21,7 +23,6 @@ using ::testing::StartsWith;
 using Runs = std::span<const Run>;  // inside a TEST, plain Run is a member of testing::Test
 
 constexpr std::int32_t kRows = 30;
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// An estimator that found `theta` with 1 % uncertainty.
 Estimator finds(const ParameterVector& theta, double force_rms_N = 5.0) {
@@ -330,6 +331,41 @@ TEST_P(Session, ShowsItsProgress) {
   EXPECT_EQ(session.progress().identified, 3u);
 }
 
+TEST_P(Session, TheSearchForACauseIsHeardOfKeptAndCanBeGivenUp) {
+  bool give_up = false;
+  const auto searched = [&](CheckSession& session) {
+    double heard = 0.0;
+    session.watch_search(
+        {[&heard](double share, const std::string&) { heard = share; }, [&give_up] { return give_up; }});
+    for (const Sample& sample : samples) session.consume(sample);
+    EXPECT_EQ(session.progress().cause_searched, 0.0);
+    const std::string reason = session.finish({}).reason;
+    EXPECT_EQ(heard, 0.4);
+    EXPECT_EQ(session.progress().cause_searched, 0.4);
+    return reason;
+  };
+  const Diagnoser diagnoser = [](Runs, const DiagnoseOptions& options) -> Result<Diagnosis> {
+    options.progress(0.4, "trying every effect");
+    if (options.given_up()) return failure("the search was given up");
+    Diagnosis found;
+    found.summary = "found";
+    return found;
+  };
+  const auto session = [&] {
+    return std::make_unique<CheckSession>(configuration, limits, request, context,
+                                          finds(nominal_parameters(), 1e4), GetParam(), diagnoser);
+  };
+  const auto explained = session();
+  searched(*explained);
+  const std::optional<Diagnosis> kept = explained->take_diagnosis();
+  ASSERT_TRUE(kept);
+  EXPECT_EQ(kept->summary, "found");
+  give_up = true;
+  const auto ended = session();
+  EXPECT_THAT(searched(*ended), HasSubstr("the search was given up"));
+  EXPECT_FALSE(ended->take_diagnosis());
+}
+
 INSTANTIATE_TEST_SUITE_P(Modes, Session, ::testing::Values(WorkerMode::Background, WorkerMode::Synchronous),
                          [](const auto& mode) {
                            return mode.param == WorkerMode::Background ? "background" : "synchronous";
@@ -340,6 +376,11 @@ TEST(CheckRequest, IsCheckedBeforeAnythingMoves) {
   EXPECT_THAT(validate({.serial = " "}).error().message, HasSubstr("serial number is empty"));
   EXPECT_THAT(validate({.serial = std::string(81, 'x')}).error().message, HasSubstr("longer than 80"));
   EXPECT_THAT(validate({.serial = "a\nb"}).error().message, HasSubstr("control characters"));
+  EXPECT_THAT(validate({.serial = "M\xFCller"}).error().message, HasSubstr("is no UTF-8"));
+  EXPECT_TRUE(validate({.serial = "M\xC3\xBCller"}));
+  EXPECT_TRUE(validate({.serial = " X\r\n"})) << "as a scanner types it";
+  EXPECT_EQ(normalised({.serial = " X\r\n", .operator_name = "\tJo "}).serial, "X");
+  EXPECT_EQ(normalised({.serial = " X\r\n", .operator_name = "\tJo "}).operator_name, "Jo");
   EXPECT_THAT(validate({.serial = "a", .repeats = 201}).error().message, HasSubstr("too many"));
   EXPECT_THAT(validate({.serial = "a", .operator_name = "\x1b[31m"}).error().message,
               HasSubstr("the operator"));

@@ -302,9 +302,9 @@ INSTANTIATE_TEST_SUITE_P(
                  "plant.toml"},
         BadInput{"SimulateIntoAFile", "simulate --manoeuvre step --out occupied", "occupied"},
         BadInput{"StatusWithoutDaemon", "status", "no daemon is configured"},
-        BadInput{"ResultsNone", "results", "checks.sqlite"},
+        BadInput{"ResultsNone", "results", "simulated.sqlite"},
         BadInput{"ResultsVerdict", "results --verdict GOOD", "GOOD"},
-        BadInput{"DoctorInterface", "doctor --interface can77 --seconds 0", "can77"},
+        BadInput{"DoctorInterface", "doctor --interface can77 --seconds 0.5", "can77"},
         BadInput{"DoctorConfiguration", "doctor --config not.toml", "not.toml"}),
     [](const auto& instance) { return std::string(instance.param.name); });
 

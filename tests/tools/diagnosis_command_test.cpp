@@ -60,6 +60,21 @@ TEST_F(DiagnoseCommand, NamesTheOffsetOfTheForceReadingAndWritesEverything) {
 
   EXPECT_THAT(folder_.read("out.html"), HasSubstr("force-offset"));
   EXPECT_THAT(folder_.read("model.toml"), HasSubstr("force-offset"));
+  // What was saved drives the simulated brake.
+  EXPECT_EQ(clampctl("simulate --manoeuvre clearance --parameters model.toml --out again").exit_code, 0);
+}
+
+TEST_F(DiagnoseCommand, GetsDifferentNoiseOfEachManoeuvre) {
+  for (const char* manoeuvre : {"optimal", "apply-release"})
+    ASSERT_EQ(clampctl(fmt::format("simulate --manoeuvre {} --out runs", manoeuvre)).exit_code, 0);
+  const auto first_row = [&](const char* file) {
+    const std::string text = folder_.read(file);
+    const std::size_t begin = text.find('\n') + 1;
+    return text.substr(begin, text.find('\n', begin) - begin);
+  };
+  EXPECT_NE(first_row("runs/optimal-001.csv"), first_row("runs/apply-release-001.csv"));
+  ASSERT_EQ(clampctl("simulate --manoeuvre optimal --out again").exit_code, 0);
+  EXPECT_EQ(folder_.read("again/optimal-001.csv"), folder_.read("runs/optimal-001.csv")) << "repeatable";
 }
 
 TEST_F(DiagnoseCommand, GivesOnlyTheDocumentOnStandardOutput) {

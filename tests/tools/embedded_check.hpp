@@ -2,8 +2,15 @@
 
 #include <gtest/gtest.h>
 
+#include <optional>
+#include <utility>
+
+#include "clampd/base/clock.hpp"
+#include "drivers/can/can_brake.hpp"
+#include "drivers/can/embedded_bus.hpp"
 #include "drivers/sim/plant_configuration.hpp"
 #include "tools/assembly/builtin.hpp"
+#include "tools/assembly/check_conductor.hpp"
 #include "tools/assembly/embedded_station.hpp"
 #include "tools/assembly/prepared_station.hpp"
 
@@ -36,5 +43,40 @@ inline CheckRecord check(const sim::PlantConfiguration& brake, std::uint32_t rep
   EXPECT_TRUE(record);
   return *record;
 }
+
+/// A conductor with all it conducts.
+struct Bench {
+  Bench(const sim::PlantConfiguration& configured, WorkerMode mode, CheckStore* store = nullptr,
+        PreparedStation prepared_station = prepared())
+      : station(std::move(prepared_station)),
+        brake(bus.end(can::EmbeddedBus::End::Brake), station.codec, configured, nullptr),
+        conductor(station, core, store, mode) {}
+
+  void advance() {
+    brake.tick(now_ns, 0, 0);
+    core.tick(now_ns + kPeriod_ns / 2, 0, 0);
+    now_ns += kPeriod_ns;
+  }
+  void reach(StationState state) {
+    while (core.status().state.load() != state) advance();
+  }
+  std::optional<CheckRecord> pump() { return conductor.pump({now_ns, now_ns}); }
+  Result<void> begin(std::uint32_t repeats) { return conductor.begin(request(repeats), {now_ns, now_ns}); }
+  /// Until there is a record.
+  CheckRecord finish() {
+    while (true) {
+      advance();
+      if (std::optional<CheckRecord> record = pump()) return *std::move(record);
+    }
+  }
+
+  const PreparedStation station;
+  can::EmbeddedBus bus{static_cast<double>(station.configuration.can.bitrate)};
+  can::CanBrake port{bus.end(can::EmbeddedBus::End::Station), station.codec};
+  plant::Plant brake;
+  rt::ControlCore core{port, station.supervisor};
+  CheckConductor conductor;
+  std::int64_t now_ns = 0;
+};
 
 }  // namespace clampd::assembly

@@ -21,29 +21,6 @@ namespace {
 
 using ::testing::HasSubstr;
 
-/// A conductor with all it conducts.
-struct Bench {
-  Bench(const sim::PlantConfiguration& configured, WorkerMode mode)
-      : brake(bus.end(can::EmbeddedBus::End::Brake), station.codec, configured, nullptr),
-        conductor(station, core, nullptr, mode) {}
-
-  void advance() {
-    brake.tick(now_ns, 0, 0);
-    core.tick(now_ns + kPeriod_ns / 2, 0, 0);
-    now_ns += kPeriod_ns;
-  }
-  std::optional<CheckRecord> pump() { return conductor.pump({now_ns, now_ns}); }
-  Result<void> begin(std::uint32_t repeats) { return conductor.begin(request(repeats), {now_ns, now_ns}); }
-
-  const PreparedStation station = prepared();
-  can::EmbeddedBus bus{static_cast<double>(station.configuration.can.bitrate)};
-  can::CanBrake port{bus.end(can::EmbeddedBus::End::Station), station.codec};
-  plant::Plant brake;
-  rt::ControlCore core{port, station.supervisor};
-  CheckConductor conductor;
-  std::int64_t now_ns = 0;
-};
-
 TEST(EmbeddedStation, TwentyRepeatsWithinThirtySecondsOfBenchTime) {
   const CheckRecord record = check(plant(1), 20);
   EXPECT_EQ(record.verdict, Verdict::Pass) << record.reason;
@@ -78,7 +55,7 @@ TEST(EmbeddedStation, AnExperimentHasTheTimeThatItTakes) {
   EXPECT_EQ(one->verdict, Verdict::Pass) << one->reason;
   constexpr std::uint32_t kRepeats = 6;
   const auto slow = make_manoeuvre("slow-sinusoid", BrakeParameters{}, {}).value();
-  ASSERT_TRUE(station.use_trajectory(slow, kRepeats));
+  ASSERT_TRUE(station.use_trajectory(slow));
   const auto experiment = station.run_check(request(kRepeats), nullptr, nullptr);
   ASSERT_TRUE(experiment);
   EXPECT_EQ(experiment->runs.size(), kRepeats) << experiment->reason;
@@ -184,10 +161,30 @@ TEST(CheckConductor, ConcludesBesideItsCalls) {
   EXPECT_EQ(record->runs.size(), 4u);
   EXPECT_TRUE(record->cause) << record->reason;
   EXPECT_TRUE(bench.begin(4)) << "ready for the next";
-  bench.core.requests().stop.store(true);
+  bench.core.requests().stop(bench.now_ns);
   while (!bench.conductor.concluding()) {
     bench.advance();
     bench.pump();
+  }
+}
+
+TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
+  for (const char* role : {"torque_command", "enable", "force", "velocity", "torque", "position",
+                           "sample_clock", "counter", "crc"}) {
+    StationConfiguration configuration;
+    configuration.file = "station.toml";
+    configuration.can.mapping = {{role, ""}};
+    const auto station = prepare_station(configuration);
+    ASSERT_FALSE(station) << role;
+    EXPECT_NE(station.error().message.find(std::string("station.toml: [can.mapping] ") + role + " is empty"),
+              std::string::npos)
+        << station.error().message;
+  }
+  for (const char* role : {"enabled", "watchdog", "fault"}) {
+    StationConfiguration configuration;
+    configuration.can.mapping = {{role, ""}};
+    const auto station = prepare_station(configuration);
+    EXPECT_TRUE(station) << station.error().message;
   }
 }
 

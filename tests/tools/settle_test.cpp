@@ -182,6 +182,14 @@ TEST_F(RunSettle, DesignsRunsAndDecides) {
   EXPECT_EQ(cause.at("effect"), "inertia-error");
   EXPECT_EQ(cause.at("verdict"), "explained");
   EXPECT_FALSE(cause.at("experiments").empty());
+  // Record, report and terminal say the same.
+  const Outcome shown = support::run_command("STATE_DIRECTORY='" + folder_.path("state") + "' " + CLAMPCTL +
+                                             " results last --json");
+  const auto recorded = nlohmann::json::parse(shown.output);
+  EXPECT_EQ(recorded.at("record"), document().at("record"));
+  EXPECT_EQ(recorded.at("cause").at("effect"), "inertia-error");
+  EXPECT_EQ(recorded.at("reason"), document().at("reason"));
+  EXPECT_THAT(recorded.at("reason").get<std::string>(), HasSubstr(cause.at("summary").get<std::string>()));
 }
 
 TEST_F(RunSettle, ABrakeThatFallsSilentInTheExperimentEndsAsInEveryCheck) {

@@ -44,6 +44,7 @@ void EmbeddedStation::advance_one_period() {
 Result<CheckRecord> EmbeddedStation::run_check(const CheckRequest& request, CheckStore* store,
                                                const Progress& progress) {
   CheckConductor conductor(station_, core_, store, WorkerMode::Synchronous);
+  conductor.watch_search(search_);
   const std::int64_t utc_start_ns = utc_now_ns();
   const std::int64_t start_ns = now_ns_;
   const auto now = [&] { return Instant{now_ns_, utc_start_ns + now_ns_ - start_ns}; };
@@ -54,11 +55,14 @@ Result<CheckRecord> EmbeddedStation::run_check(const CheckRequest& request, Chec
     return tl::unexpected(begun.error());
   while (true) {
     advance_one_period();
-    if (std::optional<CheckRecord> record = conductor.pump(now())) return *std::move(record);
+    if (std::optional<CheckRecord> record = conductor.pump(now())) {
+      diagnosis_ = conductor.take_diagnosis();
+      return *std::move(record);
+    }
     constexpr std::int64_t kProgressEvery_ns = 20 * kNanosecondsPerMillisecond;
     if (progress && now_ns_ % kProgressEvery_ns == 0 &&
         !progress(status.phase.load(), status.repeat.load(), conductor.progress().repeats))
-      core_.requests().stop.store(true);
+      core_.requests().stop(now_ns_);
   }
 }
 
@@ -75,15 +79,13 @@ Result<Run> EmbeddedStation::stand_by(std::size_t rows) {
   return readings.run();
 }
 
-Result<void> EmbeddedStation::use_trajectory(const Run& trajectory, std::uint32_t repeats) {
+Result<void> EmbeddedStation::use_trajectory(const Run& trajectory) {
   Result<Reference> reference = build_reference(trajectory, station_.configuration.model);
   if (!reference) return tl::unexpected(reference.error());
   station_.plan.reference = std::move(*reference);
   station_.trajectory_sha256 = sha256_hex(format_run(trajectory));
-  const auto times = static_cast<double>(repeats);
   const double longer_s = std::max(0.0, static_cast<double>(trajectory.size()) - own_rows_) * kPeriod_s;
-  station_.configuration.check.deadline_s =
-      own_deadline_s_ * std::max(1.0, times / own_repeats_) + times * longer_s;
+  station_.configuration.check.deadline_s = own_deadline_s_ + own_repeats_ * longer_s;
   return {};
 }
 

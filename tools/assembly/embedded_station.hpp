@@ -3,6 +3,8 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
+#include <utility>
 
 #include "clampd/archive/store.hpp"
 #include "clampd/base/result.hpp"
@@ -29,21 +31,28 @@ class EmbeddedStation {
   /// How far a check is; false asks for an operator stop.
   using Progress = std::function<bool(CheckPhase phase, std::uint32_t repeat, std::uint32_t repeats)>;
 
+  /// Who hears of the search for a cause and may end it.
+  void watch_search(CauseSearch search) { search_ = std::move(search); }
+
+  /// How the last check's misfit was diagnosed, if it was.
+  std::optional<Diagnosis> take_diagnosis() { return std::exchange(diagnosis_, std::nullopt); }
+
   /// One check to its record. Errors: the request is not valid.
   Result<CheckRecord> run_check(const CheckRequest& request, CheckStore* store, const Progress& progress);
 
   /// What the brake reads in so many samples with the drive off. Errors: the station is in FAULT.
   Result<Run> stand_by(std::size_t rows);
 
-  /// Checks from now on replay this trajectory of the nominal brake so often, on the same brake, under the same
-  /// limits and supervisor; their deadline grows with what they drive more. Errors: those of
-  /// build_reference().
-  Result<void> use_trajectory(const Run& trajectory, std::uint32_t repeats);
+  /// Checks from now on replay this trajectory of the nominal brake, on the same brake, under the same limits
+  /// and supervisor; their deadline grows with what they drive more. Errors: those of build_reference().
+  Result<void> use_trajectory(const Run& trajectory);
 
  private:
   void advance_one_period();
 
   PreparedStation station_;
+  CauseSearch search_;
+  std::optional<Diagnosis> diagnosis_;
   const double own_deadline_s_;
   const double own_repeats_;
   const double own_rows_;

@@ -25,6 +25,7 @@ constexpr const char* kInstalledConfiguration = "/etc/clampd/station.toml";
 struct MappingRole {
   std::string_view role;
   std::string can::ProtocolMapping::*signal;
+  bool needed = true;  ///< false: a brake may do without, and an empty name says so
 };
 
 constexpr std::array kMappingRoles{
@@ -35,9 +36,9 @@ constexpr std::array kMappingRoles{
     MappingRole{"torque", &can::ProtocolMapping::torque},
     MappingRole{"position", &can::ProtocolMapping::position},
     MappingRole{"sample_clock", &can::ProtocolMapping::sample_clock},
-    MappingRole{"enabled", &can::ProtocolMapping::enabled},
-    MappingRole{"watchdog", &can::ProtocolMapping::watchdog},
-    MappingRole{"fault", &can::ProtocolMapping::fault},
+    MappingRole{"enabled", &can::ProtocolMapping::enabled, false},
+    MappingRole{"watchdog", &can::ProtocolMapping::watchdog, false},
+    MappingRole{"fault", &can::ProtocolMapping::fault, false},
     MappingRole{"counter", &can::ProtocolMapping::counter},
     MappingRole{"crc", &can::ProtocolMapping::crc},
 };
@@ -48,6 +49,12 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
     bool known = false;
     for (const MappingRole& candidate : kMappingRoles) {
       if (candidate.role != role) continue;
+      if (candidate.needed && signal.empty())
+        return failure(
+            fmt::format("{}: [can.mapping] {} is empty, but a check cannot do without: name the signal of "
+                        "the DBC file that "
+                        "has it, or leave the line out for the default, \"{}\"",
+                        configuration.file, role, mapping.*candidate.signal));
       mapping.*candidate.signal = signal;
       known = true;
     }
@@ -89,7 +96,8 @@ Result<ExtendedParameters> read_check_model(const StationConfiguration& configur
   return model;
 }
 
-rt::SupervisorSettings supervisor_settings(const clampd::SupervisorSettings& configured) {
+rt::SupervisorSettings supervisor_settings(const StationConfiguration& configuration) {
+  const clampd::SupervisorSettings& configured = configuration.supervisor;
   const auto nanoseconds = [](double milliseconds) {
     return static_cast<std::int64_t>(milliseconds * static_cast<double>(kNanosecondsPerMillisecond));
   };
@@ -101,12 +109,16 @@ rt::SupervisorSettings supervisor_settings(const clampd::SupervisorSettings& con
   settings.implausible_tolerated = static_cast<std::uint64_t>(configured.implausible_frames_max);
   settings.send_failures_tolerated = static_cast<std::uint64_t>(configured.send_failures_max);
   settings.force_limit_N = configured.over_force_N;
+  settings.force_ceiling_N = configured.over_force_ceiling_N;
   settings.speed_limit_rad_s = configured.over_speed_rad_s;
   settings.torque_limit_Nm = configured.over_torque_Nm;
   settings.travel_limit_rad = configured.over_travel_rad;
   settings.plausible_force_N = configured.plausible_force_N;
   settings.plausible_velocity_rad_s = configured.plausible_velocity_rad_s;
   settings.plausible_torque_Nm = configured.plausible_torque_Nm;
+  settings.drive = nominal_drive(configuration.model);
+  settings.readings = {configured.torque_mismatch_Nm, configured.velocity_mismatch_rad_s,
+                       configured.position_mismatch_rad, configured.force_mismatch_N};
   settings.drive_reports_live = configured.drive_reports_live;
   settings.skipped_in_a_row_tolerated = static_cast<std::uint64_t>(configured.missed_ticks_max);
   settings.skipped_per_check_tolerated = static_cast<std::uint64_t>(configured.missed_ticks_total_max);
@@ -165,13 +177,30 @@ rt::CheckPlan check_plan(const StationConfiguration& configuration, Reference re
 
 }  // namespace
 
+namespace {
+
+/// What the runs alone take, without the ways between them.
+Result<void> check_deadline(const StationConfiguration& configuration, const rt::CheckPlan& plan) {
+  const CheckSettings& check = configuration.check;
+  const double least_s =
+      check.tare_s +
+      check.repeats * (static_cast<double>(plan.reference.rows.size()) * kPeriod_s + check.settle_s);
+  if (least_s < check.deadline_s) return {};
+  return failure(fmt::format(
+      "{}check.deadline_s = {:g} is too short for {} repeats, which take {:.0f} s and the "
+      "ways between them: allow more time or ask for fewer",
+      configuration.file.empty() ? "" : configuration.file + ": ", check.deadline_s, check.repeats, least_s));
+}
+
+}  // namespace
+
 Result<StationConfiguration> load_configuration(const std::string& path) {
   if (!path.empty()) return read_station_configuration(path);
   std::error_code ignored;
   if (std::filesystem::exists(kInstalledConfiguration, ignored))
     return read_station_configuration(kInstalledConfiguration);
   StationConfiguration defaults;
-  defaults.database = default_database();
+  defaults.database = default_database(defaults.simulated_brake);
   return defaults;
 }
 
@@ -207,8 +236,10 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
   if (!reference) return tl::unexpected(reference.error());
   station.trajectory_sha256 = sha256_hex(format_run(trajectory->run));
   station.plan = check_plan(configuration, std::move(*reference));
+  if (const Result<void> enough = check_deadline(configuration, station.plan); !enough)
+    return tl::unexpected(enough.error());
 
-  station.supervisor = supervisor_settings(configuration.supervisor);
+  station.supervisor = supervisor_settings(configuration);
   if (const Result<void> valid = station.supervisor.validate(); !valid) return tl::unexpected(valid.error());
   if (configuration.gpio.used()) station.panel = panel_settings(configuration);
   return station;

@@ -1,6 +1,7 @@
 #include "tools/assembly/publishing.hpp"
 
 #include <algorithm>
+#include <tuple>
 #include <utility>
 
 #include <fmt/format.h>
@@ -78,6 +79,20 @@ std::string waiting_text(std::size_t pending, double oldest_age_s) {
                       : fmt::format("{} checks wait, the oldest for {}", pending, age);
 }
 
+std::string password_warning(const StationConfiguration& configuration, const std::string& channel) {
+  const bool mqtt = channel == kMqtt;
+  const auto& [host, password_file, ca_file] =
+      mqtt ? std::tie(configuration.mqtt.host, configuration.mqtt.password_file,
+                      configuration.mqtt.tls_ca_file)
+           : std::tie(configuration.postgresql.host, configuration.postgresql.password_file,
+                      configuration.postgresql.tls_ca_file);
+  const bool stays_here =
+      host == "localhost" || host == "::1" || host.rfind("127.", 0) == 0 || host.rfind('/', 0) == 0;
+  if (password_file.empty() || !ca_file.empty() || stays_here) return "";
+  return fmt::format("the password goes to {} {}: set [{}] tls_ca_file", host,
+                     mqtt ? "in clear text" : "without the server's certificate being verified", channel);
+}
+
 std::vector<std::string> publication_channels(const StationConfiguration& configuration) {
   std::vector<std::string> channels;
   if (configuration.mqtt.used()) channels.emplace_back(kMqtt);
@@ -93,6 +108,8 @@ Publishing::Publishing(const StationConfiguration& configuration,
     options.channel = channel;
     options.database = configuration.database;
     options.seed = entropy()();
+    if (const std::string warning = password_warning(configuration, channel); !warning.empty())
+      on_change(channel, warning);
     options.on_change = [channel, on_change](const std::string& error) { on_change(channel, error); };
     publishers_.push_back(
         std::make_unique<publish::Publisher>(std::move(options), make_channel(configuration, channel)));

@@ -21,6 +21,10 @@ struct ChannelReport {
   std::string error;          ///< empty: nothing is wrong
 };
 
+/// What is to be said of a password that goes over the network in clear text, or to whoever takes the
+/// server's name; empty: there is none that does.
+std::string password_warning(const StationConfiguration& configuration, const std::string& channel);
+
 /// Every configured channel's publisher, each in a thread of its own. What is saved reaches their outboxes if
 /// the store that saves it queues for `publication_channels`.
 class Publishing {

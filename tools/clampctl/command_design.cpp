@@ -220,11 +220,14 @@ Result<void> write_files(const DesignCommandOptions& options, const nlohmann::or
   return {};
 }
 
+std::string found_text(double best) {
+  return std::isfinite(best) ? fmt::format("best so far {:.3f}", best) : "searching";
+}
+
 int design_robust(DesignCommandOptions& options) {
   cli::ProgressLine progress;
-  options.robust.progress = [&](double fraction, double best) {
-    progress.show(fraction, std::isfinite(best) ? fmt::format("best so far {:.3f}", best) : std::string());
-  };
+  options.robust.progress = [&](double fraction, double best) { progress.show(fraction, found_text(best)); };
+  progress.show(0.0, "searching");
   const RobustSummary summary = design_robust_experiment(options.robust);
   progress.clear();
   if (!summary.found) return cli::refuse(Error{fmt::format("no design: {}", summary.message)});
@@ -240,9 +243,8 @@ int design(DesignCommandOptions options) {
   if (const Result<void> prepared = prepare(options); !prepared) return cli::refuse(prepared.error());
   if (options.objective == kRobust) return design_robust(options);
   cli::ProgressLine progress;
-  options.design.progress = [&](double fraction, double best) {
-    progress.show(fraction, std::isfinite(best) ? fmt::format("best so far {:.3f}", best) : std::string());
-  };
+  options.design.progress = [&](double fraction, double best) { progress.show(fraction, found_text(best)); };
+  progress.show(0.0, "searching");
   const DesignSummary summary = design_experiment(options.design);
   progress.clear();
   if (!summary.certified()) return cli::refuse(Error{fmt::format("no design: {}", summary.message)});

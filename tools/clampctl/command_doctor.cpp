@@ -71,7 +71,7 @@ ReadinessFact examine_database(const std::string& database) {
   const double free_gigabytes = static_cast<double>(space.available) / static_cast<double>(kEnough);
   return {"results", !failed && space.available >= kEnough ? ReadinessStatus::Ok : ReadinessStatus::Warn,
           fmt::format("{}, {:.1f} GiB free", database, free_gigabytes),
-          space.available >= kEnough ? "" : "a check takes about 1 MB; make room"};
+          space.available >= kEnough ? "" : "a check takes about 0.15 MB; make room"};
 }
 
 void examine_panel(const gpio::PanelSettings& panel, std::vector<ReadinessFact>& facts) {
@@ -96,12 +96,16 @@ void examine_panel(const gpio::PanelSettings& panel, std::vector<ReadinessFact>&
 void examine_publishing(const StationConfiguration& configuration, std::vector<ReadinessFact>& facts) {
   const Result<CheckStore> store = CheckStore::open(configuration.database, CheckStore::Access::ReadOnly);
   for (const assembly::ChannelReport& channel :
-       assembly::try_channels(configuration, store ? &*store : nullptr))
+       assembly::try_channels(configuration, store ? &*store : nullptr)) {
     facts.push_back({"publishing, " + channel.channel,
                      channel.error.empty() ? ReadinessStatus::Ok : ReadinessStatus::Warn,
                      fmt::format("{} {}, {}", channel.where, channel.connected ? "answers" : "cannot be used",
                                  assembly::waiting_text(channel.pending, channel.oldest_age_s)),
                      channel.error});
+    if (const std::string warning = assembly::password_warning(configuration, channel.channel);
+        !warning.empty())
+      facts.push_back({"password, " + channel.channel, ReadinessStatus::Warn, "not protected", warning});
+  }
 }
 
 void print_facts(const std::vector<ReadinessFact>& facts) {
@@ -165,7 +169,7 @@ void add_doctor_command(CLI::App& app, const CommonOptions& common, int& exit_co
   command->add_option("--interface", options->interface,
                       "CAN interface to look at (default: the configured one)");
   command->add_option("--seconds", options->seconds, "how long to measure wake-up lateness")
-      ->check(CLI::Range(0.0, 600.0))
+      ->check(CLI::Range(0.5, 600.0))  // less sees nothing
       ->capture_default_str();
   command->add_flag("--json", options->json, "as JSON on standard output");
   command->callback([options, &common, &exit_code] { exit_code = doctor(*options, common); });

@@ -254,7 +254,7 @@ int identify_files(IdentifyOptions options) {
   }
   const Method method = *parse_method(options.method);
   const Estimate summary = options.extended ? identify_extended(runs, *options.extended, settings)
-                                            : identify(method, runs, settings);
+                                            : identify_brake(method, runs, settings);
   std::vector<Profile> profiles;
   if (summary.converged()) {
     cli::ProgressLine progress;

@@ -1,3 +1,6 @@
+#include <pwd.h>
+#include <unistd.h>
+
 #include <limits>
 #include <map>
 #include <memory>
@@ -11,6 +14,7 @@
 #include "clampd/archive/table.hpp"
 #include "clampd/brake/parameters.hpp"
 #include "clampd/record/file.hpp"
+#include "clampd/record/text.hpp"
 #include "clampd/record/utc.hpp"
 #include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/check_selection.hpp"
@@ -18,6 +22,7 @@
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 #include "tools/records/candump.hpp"
+#include "tools/records/raw_data.hpp"
 #include "tools/records/retention.hpp"
 
 namespace clampd::ctl {
@@ -30,10 +35,14 @@ constexpr std::uint32_t kExported = 1'000'000;
 struct ResultsOptions {
   std::shared_ptr<CheckFilter> filter;
   CLI::Option* limit = nullptr;
+  CLI::Option* voiding = nullptr;
   std::string id;
   std::string csv;
   std::string dfq;
   std::string candump;
+  std::string flight;
+  std::string runs;
+  std::string void_reason;
   bool json = false;
   bool prune = false;
   bool yes = false;
@@ -49,6 +58,13 @@ int show_one(const ResultsOptions& options, const CheckStore& store) {
   return cli::kSuccess;
 }
 
+/// To standard output for "-".
+Result<void> write_text(const std::string& file, const std::string& text) {
+  if (file != "-") return write_file_atomically(file, text);
+  fmt::print("{}", text);
+  return {};
+}
+
 int write_candump(const ResultsOptions& options, const StationConfiguration& configuration,
                   const CheckStore& store) {
   if (options.id.empty()) return cli::refuse({"--candump exports one check: give its id, or `last`"});
@@ -59,7 +75,7 @@ int write_candump(const ResultsOptions& options, const StationConfiguration& con
   const std::string interface = configuration.embedded() ? "can0" : configuration.can.interface;
   const auto written =
       format_candump(*record, station->codec, interface).and_then([&](const std::string& log) {
-        return write_file_atomically(options.candump, log);
+        return write_text(options.candump, log);
       });
   if (!written) return cli::refuse(written.error());
   cli::print_notice(
@@ -73,20 +89,62 @@ Result<std::string> dfq_of(const std::vector<CheckRecord>& checks) {
   return format_dfq(checks, nominal);
 }
 
-int write_tables(const ResultsOptions& options, const CheckStore& store) {
+/// The one that `id` names, or all that were chosen.
+Result<std::vector<CheckRecord>> chosen_checks(const ResultsOptions& options, const CheckStore& store) {
+  if (!options.id.empty())
+    return store.load(options.id).map([](CheckRecord&& check) { return std::vector{std::move(check)}; });
   CheckFilter filter = *options.filter;
   if (options.limit->count() == 0) filter.limit = kExported;  // an export that is cut short misleads
-  Result<std::vector<CheckRecord>> checks = store.load_results(filter);
+  return store.load_results(filter);
+}
+
+int write_tables(const ResultsOptions& options, const CheckStore& store) {
+  const Result<std::vector<CheckRecord>> checks = chosen_checks(options, store);
   if (!checks) return cli::refuse(checks.error());
   if (!options.csv.empty())
-    if (const auto written = write_file_atomically(options.csv, format_csv(*checks)); !written)
+    if (const auto written = write_text(options.csv, format_csv(*checks)); !written)
       return cli::refuse(written.error());
   if (!options.dfq.empty()) {
-    const auto written = dfq_of(*checks).and_then(
-        [&](const std::string& text) { return write_file_atomically(options.dfq, text); });
+    const auto written =
+        dfq_of(*checks).and_then([&](const std::string& text) { return write_text(options.dfq, text); });
     if (!written) return cli::refuse(written.error());
   }
-  cli::print_notice(fmt::format("{} checks exported", checks->size()));
+  cli::print_notice(fmt::format("{} {} exported", checks->size(), checks->size() == 1 ? "check" : "checks"));
+  return cli::kSuccess;
+}
+
+int write_raw_data(const ResultsOptions& options, const CheckStore& store) {
+  if (options.id.empty())
+    return cli::refuse({"--runs and --flight export one check: give its id, or `last`"});
+  const Result<CheckRecord> record = store.load(options.id);
+  if (!record) return cli::refuse(record.error());
+  if (!options.flight.empty()) {
+    const auto written = format_flight_recorder(*record).and_then(
+        [&](const std::string& text) { return write_text(options.flight, text); });
+    if (!written) return cli::refuse(written.error());
+  }
+  if (options.runs.empty()) return cli::kSuccess;
+  const Result<std::size_t> written = write_run_files(*record, options.runs);
+  if (!written) return cli::refuse(written.error());
+  cli::print_notice(fmt::format("{} runs written; `clampctl diagnose {}/run-*.csv` looks for a cause",
+                                *written, options.runs));
+  return cli::kSuccess;
+}
+
+std::string user_name() {
+  const passwd* user = ::getpwuid(::getuid());
+  return user == nullptr ? fmt::format("user {}", ::getuid()) : user->pw_name;
+}
+
+int mark_void(const ResultsOptions& options, const StationConfiguration& configuration) {
+  if (options.id.empty()) return cli::refuse({"--void marks one check: give its id, or `last`"});
+  const std::string reason = trimmed(options.void_reason);
+  if (reason.empty()) return cli::refuse({"--void needs a reason in words: it stays with the record"});
+  const Result<std::string> id = CheckStore::open(configuration.database).and_then([&](CheckStore store) {
+    return store.mark_void(options.id, {reason, user_name(), format_utc(utc_now_ns())});
+  });
+  if (!id) return cli::refuse(id.error());
+  fmt::print("{} is void: it stays on record, and counts in no statistics.\n", *id);
   return cli::kSuccess;
 }
 
@@ -112,9 +170,11 @@ int results(const ResultsOptions& options, const CommonOptions& common) {
   const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
   if (options.prune) return prune(options, *configuration);
+  if (options.voiding->count() > 0) return mark_void(options, *configuration);
   const Result<CheckStore> store = CheckStore::open(configuration->database, CheckStore::Access::ReadOnly);
   if (!store) return cli::refuse(store.error());
   if (!options.candump.empty()) return write_candump(options, *configuration, *store);
+  if (!options.runs.empty() || !options.flight.empty()) return write_raw_data(options, *store);
   if (!options.csv.empty() || !options.dfq.empty()) return write_tables(options, *store);
   if (!options.id.empty()) return show_one(options, *store);
 
@@ -136,11 +196,15 @@ void add_results_command(CLI::App& app, const CommonOptions& common, int& exit_c
   options->filter = add_check_selection(*command, kListed);
   options->limit = command->get_option("--limit");
   command->add_flag("--json", options->json, "as JSON on standard output");
-  command->add_option("--csv", options->csv, "write the chosen checks, one a row, with all parameters")
+  command
+      ->add_option("--csv", options->csv,
+                   "write the chosen checks (or the one of `id`), one a row, with all parameters; - for "
+                   "standard output")
       ->type_name("FILE");
   command
       ->add_option("--dfq", options->dfq,
-                   "write the chosen checks as a Q-DAS (AQDEF) file: one characteristic per parameter with "
+                   "write the chosen checks (or the one of `id`) as a Q-DAS (AQDEF) file: one characteristic "
+                   "per parameter with "
                    "nominal value and limits (K2002, K2101, K2110, K2111), one value set per check (K0001; "
                    "K0002 255 where the check was invalid; K0004 time, K0006 batch, K0008 operator, K0010 "
                    "station, K0014 serial number). All must be of one part and one set of limits")
@@ -150,6 +214,22 @@ void add_results_command(CLI::App& app, const CommonOptions& common, int& exit_c
                    "write the runs of one check (`id`) as a `candump -l` log, for canplayer and log2asc; its "
                    "frames are reconstructed from the recorded samples")
       ->type_name("FILE");
+  command
+      ->add_option(
+          "--runs", options->runs,
+          "write the raw runs of one check (`id`) as run files into this folder, for `clampctl diagnose`")
+      ->type_name("FOLDER");
+  command
+      ->add_option(
+          "--flight", options->flight,
+          "write the last samples before the fault of one check (`id`) as CSV; - for standard output")
+      ->type_name("FILE");
+  options->voiding =
+      command
+          ->add_option("--void", options->void_reason,
+                       "mark one check (`id`) as void, for this reason: it stays on record, and "
+                       "counts in no statistics")
+          ->type_name("REASON");
   command->add_flag("--prune", options->prune,
                     "say which raw runs [retention] lets go; results and parameters always stay");
   command->add_flag("--yes", options->yes, "with --prune: remove them");

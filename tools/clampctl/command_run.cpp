@@ -54,8 +54,67 @@ void show_progress(cli::ProgressLine& line, std::string_view phase, std::uint32_
             fmt::format("run {} of {}, {}", std::min(repeat + 1, repeats), repeats, phase));
 }
 
-int run_embedded(const RunOptions& options, StationConfiguration configuration) {
-  configuration.simulated_brake = true;
+/// What a check came to, before anybody is told.
+struct Finished {
+  nlohmann::ordered_json document;
+  std::string table;
+  int code = cli::kStation;
+};
+
+int show(const RunOptions& options, const Finished& finished) {
+  if (options.json != "-") fmt::print("{}", finished.table);
+  if (const Result<void> written = cli::write_json(options.json, finished.document); !written)
+    return cli::refuse(written.error());
+  return finished.code;
+}
+
+/// A check of the master brake judges the station, not the brake: it passes if the station finds the
+/// certified values, and is an ERROR of the station if not, whatever the limits of other brakes say.
+void judge_master(const StationConfiguration& configuration, const CheckStore& store, Finished& finished) {
+  const bool about_the_brake = finished.code == cli::kSuccess || finished.code == cli::kBrakeFails;
+  if (!about_the_brake && finished.code != cli::kStation) return;
+  const Result<MasterReport> report = master_report(configuration.master, store, utc_now_ns());
+  const std::string text = report ? format_master(*report) : report.error().message + "\n";
+  finished.table = about_the_brake ? text : finished.table + "\n" + text;
+  if (!about_the_brake) return;
+  finished.code = cli::kSuccess;
+  if (report && !asks_for_something(*report)) return;
+  finished.document["verdict"] = std::string(to_string(Verdict::Error));
+  finished.document["marginal"] = false;
+  finished.document["reason"] = report ? report->text : report.error().message;
+  finished.code = cli::kStation;
+}
+
+/// Before another brake is checked: what the master brake asks for is said, or refuses the check. False: it
+/// does.
+bool heed_master(const RunOptions& options, const MasterSettings& master, const std::string& asks) {
+  if (options.master || asks.empty() || options.request.serial == master.serial) return true;
+  if (!master.required) {
+    cli::print_notice(asks);
+    return true;
+  }
+  cli::print_error(asks);
+  return false;
+}
+
+std::string asked_by_master(const MasterSettings& master, const CheckStore& store) {
+  const Result<MasterReport> report = master_report(master, store, utc_now_ns());
+  if (!report) return report.error().message;
+  return asks_for_something(*report) ? report->text : "";
+}
+
+/// What a daemon says of a check that is not finished.
+void show_progress(cli::ProgressLine& line, const control::CheckProgress& progress,
+                   const Result<control::StationStatus>& status) {
+  if (!status || !status->judging)
+    show_progress(line, progress.phase, progress.repeat, progress.repeats);
+  else if (status->cause_searched > 0.0)
+    line.show(status->cause_searched, "the brake is done; searching for the cause");
+  else
+    line.show(1.0, "the brake is done; making the verdict");
+}
+
+int run_embedded(const RunOptions& options, const StationConfiguration& configuration) {
   const std::string& plant_file =
       options.simulated_brake.empty() ? configuration.plant_file : options.simulated_brake;
   const Result<sim::PlantConfiguration> plant = assembly::load_plant(plant_file);
@@ -64,6 +123,8 @@ int run_embedded(const RunOptions& options, StationConfiguration configuration) 
   if (!prepared) return cli::refuse(prepared.error());
   Result<CheckStore> store = CheckStore::open(configuration.database);
   if (!store) return cli::refuse(store.error());
+  if (!heed_master(options, configuration.master, asked_by_master(configuration.master, *store)))
+    return cli::kStation;
 
   cli::ProgressLine line;
   const assembly::EmbeddedStation::Progress progress = [&line](CheckPhase phase, std::uint32_t repeat,
@@ -71,34 +132,36 @@ int run_embedded(const RunOptions& options, StationConfiguration configuration) 
     show_progress(line, to_string(phase), repeat, repeats);
     return !interrupted;
   };
+  const CauseSearch search{[&line](double share, const std::string& words) {
+                             line.show(share, "searching for the cause: " + words);
+                           },
+                           [] { return interrupted.load(); }};
   assembly::EmbeddedStation station(std::move(*prepared), *plant);
-  const Result<CheckRecord> record = station.run_check(options.request, &*store, progress);
+  station.watch_search(search);
+  Result<CheckRecord> record = station.run_check(options.request, &*store, progress);
   line.clear();
   if (!record) return cli::refuse(record.error());
-  const bool for_people = options.json != "-";
-  if (for_people) fmt::print("{}", format_check(*record, cli::colours_wanted()));
-  nlohmann::ordered_json document = check_json(*record);
-  int code = exit_code(record->verdict);
+  Finished finished{check_json(*record), format_check(*record, cli::colours_wanted()),
+                    exit_code(record->verdict)};
   if (options.settle) {
-    SettledCheck settled = settle_check(*record, station, *store, configuration.model, progress, line);
+    SettledCheck settled =
+        settle_check(*record, station, *store, configuration.model, progress, search, line);
     line.clear();
-    if (for_people) fmt::print("\n{}", settled.text);
-    document["cause"] = std::move(settled.cause);
+    finished.table += "\n" + settled.text;
+    finished.document = check_json(*record);  // with what was settled
+    if (!settled.experiments.is_null())
+      finished.document["cause"]["experiments"] = std::move(settled.experiments);
     if (!settled.problem.empty()) cli::print_error(settled.problem);
-    code = settled.exit_code.value_or(code);
+    finished.code = settled.exit_code.value_or(finished.code);
   }
-  if (const Result<void> written = cli::write_json(options.json, document); !written)
-    return cli::refuse(written.error());
-  return code;
-}
-
-int exit_code_of(const std::string& verdict) {
-  return exit_code(parse_verdict(verdict).value_or(Verdict::Error));
+  if (options.master) judge_master(configuration, *store, finished);
+  return show(options, finished);
 }
 
 /// What a daemon that went away in the middle of a check leaves us with: a result that says so.
-int daemon_lost(const RunOptions& options, const std::string& why) {
+int daemon_lost(const RunOptions& options, const std::string& id, const std::string& why) {
   CheckRecord record;
+  record.id = id;
   record.serial = options.request.serial;
   record.repeats = options.request.repeats;
   record.verdict = Verdict::Error;
@@ -111,34 +174,30 @@ int daemon_lost(const RunOptions& options, const std::string& why) {
   return cli::kStation;
 }
 
-int run_through_daemon(const RunOptions& options, const StationConfiguration& configuration) {
-  using namespace std::chrono_literals;
-  if (options.settle)
-    return cli::refuse(
-        {"--settle works with the simulated brake of this process only: a daemon replays the trajectory of "
-         "its "
-         "configuration and no other. Check without --settle, give the runs to `clampctl diagnose`, and let "
-         "a "
-         "second check replay the experiment that it designs ([check] trajectory)"});
-  const control::Client daemon(configuration.control.address, configuration.control.port,
-                               configuration.control.token_file);
-  if (const Result<control::StationStatus> status = daemon.status(); !status) {
-    if (const auto interface = can::inspect_interface(configuration.can.interface); !interface)
-      return cli::refuse(interface.error());
-    cli::print_error(status.error().message);
-    return cli::kStation;
-  }
-  const Result<std::uint64_t> check = daemon.start(options.request);
-  if (!check) {
-    cli::print_error(check.error().message);
-    return cli::kStation;
-  }
+int finish_through_daemon(const RunOptions& options, const StationConfiguration& configuration,
+                          const control::CheckProgress& progress) {
+  Finished finished{progress.record, progress.table,
+                    exit_code(parse_verdict(progress.record.value("verdict", "")).value_or(Verdict::Error))};
+  if (!options.master) return show(options, finished);
+  const Result<CheckStore> store = CheckStore::open(configuration.database, CheckStore::Access::ReadOnly);
+  if (!store) return cli::refuse(store.error());
+  judge_master(configuration, *store, finished);
+  return show(options, finished);
+}
 
+/// Follows this very check, and no other: after a restart of the daemon its numbers begin at 1 again, so that
+/// it is told by its record's id.
+int follow(const RunOptions& options, const StationConfiguration& configuration,
+           const control::Client& daemon, const control::StartedCheck& check) {
+  using namespace std::chrono_literals;
   cli::ProgressLine line;
   bool stop_sent = false;
+  bool brake_was_done = false;
   int failures = 0;
   while (true) {
     if (interrupted && !stop_sent) {
+      const Result<control::StationStatus> status = daemon.status();
+      brake_was_done = status && status->judging;
       const Result<void> stopped = daemon.stop();
       if (!stopped) cli::print_error(stopped.error().message + "; trying again");
       stop_sent = stopped.has_value();
@@ -148,35 +207,72 @@ int run_through_daemon(const RunOptions& options, const StationConfiguration& co
     if (!progress) {
       if (++failures < 3) continue;
       line.clear();
-      return daemon_lost(options, progress.error().message);
+      return daemon_lost(options, check.id, progress.error().message);
     }
     failures = 0;
-    if (progress->check != *check) {
+    const bool other_brake =
+        progress->finished && (progress->record.value("serial", "") != normalised(options.request).serial ||
+                               progress->record.value("record", "") != check.id);
+    if (progress->check != check.check || progress->id != check.id || other_brake) {
       line.clear();
-      return daemon_lost(options, "it was restarted or works on another check");
+      return daemon_lost(options, check.id, "it was restarted or works on another check");
     }
     if (progress->finished) {
       line.clear();
-      if (const Result<void> written = cli::write_json(options.json, progress->record); !written)
-        return cli::refuse(written.error());
-      if (options.json != "-") fmt::print("{}", progress->table);
-      return exit_code_of(progress->record.value("verdict", ""));
+      return finish_through_daemon(options, configuration, *progress);
     }
-    show_progress(line, progress->phase, progress->repeat, progress->repeats);
+    if (stop_sent && brake_was_done) {
+      line.clear();
+      cli::print_notice(
+          "the brake is done; the station goes on with the verdict, which `clampctl results last` will show");
+      return cli::kAborted;
+    }
+    show_progress(line, *progress, daemon.status());
     std::this_thread::sleep_for(100ms);
   }
 }
 
-/// A check of the master brake judges the station, not the brake.
-int judge_master(const RunOptions& options, const StationConfiguration& configuration, int check_code) {
-  if (check_code != cli::kSuccess && check_code != cli::kBrakeFails) return check_code;
-  const Result<MasterReport> report = CheckStore::open(configuration.database, CheckStore::Access::ReadOnly)
-                                          .and_then([&](const CheckStore& store) {
-                                            return master_report(configuration.master, store, utc_now_ns());
-                                          });
-  if (!report) return cli::refuse(report.error());
-  if (options.json != "-") fmt::print("\n{}", format_master(*report));
-  return asks_for_something(*report) ? cli::kStation : cli::kSuccess;
+int run_through_daemon(const RunOptions& options, const StationConfiguration& configuration) {
+  if (options.settle)
+    return cli::refuse(
+        {"--settle works with the simulated brake of this process only: a daemon replays the trajectory of "
+         "its "
+         "configuration and no other. Check without --settle, give the runs to `clampctl diagnose`, and let "
+         "a "
+         "second check replay the experiment that it designs ([check] trajectory)"});
+  const control::Client daemon(configuration.control.address, configuration.control.port,
+                               configuration.control.token_file);
+  const Result<control::StationStatus> status = daemon.status();
+  if (!status) {
+    if (const auto interface = can::inspect_interface(configuration.can.interface); !interface)
+      return cli::refuse(interface.error());
+    cli::print_error(status.error().message);
+    return cli::kStation;
+  }
+  if (!heed_master(options, configuration.master, status->master)) return cli::kStation;
+  const Result<control::StartedCheck> check = daemon.start(options.request, status->stops);
+  if (!check) {
+    cli::print_error(check.error().message);
+    return cli::kStation;
+  }
+  return follow(options, configuration, daemon, *check);
+}
+
+enum class Where { InThisProcess, ThroughTheDaemon };
+
+/// A station that is configured without a bus is this process, unless a daemon on a simulated brake answers
+/// where status, stop and next look for one: then that is the station.
+Result<Where> where_to_check(const RunOptions& options, const StationConfiguration& configuration) {
+  if (!options.simulated_brake.empty()) return Where::InThisProcess;
+  if (!configuration.embedded()) return Where::ThroughTheDaemon;
+  const ControlSettings& api = configuration.control;
+  const auto answer = control::Client(api.address, api.port, api.token_file).status();
+  if (!answer) return Where::InThisProcess;
+  if (answer->simulated) return Where::ThroughTheDaemon;
+  return failure(fmt::format(
+      "a station with a real brake answers at {}:{}, and no [can] interface is configured here: name its "
+      "configuration with --config, or a simulated brake with --simulated-brake",
+      api.address, api.port));
 }
 
 int run(RunOptions options, const CommonOptions& common) {
@@ -189,13 +285,15 @@ int run(RunOptions options, const CommonOptions& common) {
           {"no master brake is configured: [master] names its serial number and its certified limits"});
   }
   if (const Result<void> valid = validate(options.request); !valid) return cli::refuse(valid.error());
+  options.request = normalised(options.request);
   if (const Result<void> writable = cli::check_document(options.json); !writable)
     return cli::refuse(writable.error());
   watch_for_interrupt();
-  const int code = configuration->embedded() || !options.simulated_brake.empty()
-                       ? run_embedded(options, *configuration)
-                       : run_through_daemon(options, *configuration);
-  return options.master ? judge_master(options, *configuration, code) : code;
+  const Result<Where> where = where_to_check(options, *configuration);
+  if (!where) return cli::refuse(where.error());
+  if (*where == Where::ThroughTheDaemon) return run_through_daemon(options, *configuration);
+  simulate_brake(*configuration);
+  return run_embedded(options, *configuration);
 }
 
 }  // namespace

@@ -13,6 +13,7 @@
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
+#include "tools/simulation/saved_model.hpp"
 #include "tools/simulation/simulate.hpp"
 
 namespace clampd::ctl {
@@ -31,10 +32,32 @@ struct SimulateOptions {
   std::string folder;
 };
 
-Result<sim::PlantConfiguration> plant_configuration(const SimulateOptions& options) {
-  Result<sim::PlantConfiguration> plant = assembly::load_plant(options.plant);
+/// Of a manoeuvre's own: two manoeuvres with the same noise, row by row, would look like one brake that errs
+/// in the same places. FNV-1a.
+std::uint64_t seed_for(std::uint64_t seed, std::string_view manoeuvre) {
+  std::uint64_t hash = 0xcbf29ce484222325u ^ seed;
+  for (const char c : manoeuvre) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3u;
+  return hash;
+}
+
+/// A plant file, or a model as `clampctl diagnose --save` writes it.
+Result<sim::PlantConfiguration> load_simulated_brake(const std::string& path) {
+  const Result<ExtendedParameters> model =
+      path.empty() ? Result<ExtendedParameters>(ExtendedParameters{}) : read_extended_parameters(path);
+  if (!model || model->effects.empty()) return assembly::load_plant(path);
+  Result<sim::PlantConfiguration> plant = assembly::load_plant({});
   if (!plant) return plant;
-  if (options.seed) plant->seed = *options.seed;
+  plant->brake = model->base;
+  const Result<sim::Effects> effects = simulated_effects(*model);
+  if (!effects) return failure(fmt::format("{}: {}", path, effects.error().message));
+  plant->effects = *effects;
+  return plant;
+}
+
+Result<sim::PlantConfiguration> plant_configuration(const SimulateOptions& options) {
+  Result<sim::PlantConfiguration> plant = load_simulated_brake(options.plant);
+  if (!plant) return plant;
+  plant->seed = options.seed ? *options.seed : seed_for(plant->seed, options.manoeuvre);
   for (const std::string& effect : options.effects)
     if (const Result<void> set = sim::set_effect(plant->effects, effect); !set)
       return tl::unexpected(set.error());
@@ -118,13 +141,16 @@ void add_simulate_command(CLI::App& app, int& exit_code) {
   CLI::App* command = app.add_subcommand(
       "simulate", "run files from the simulated brake, driven by the station's own controller");
   command->add_option("--manoeuvre", options->manoeuvre, manoeuvre_help())->required();
-  command->add_option("--parameters", options->plant, "the simulated brake (default: nominal, with noise)")
+  command
+      ->add_option("--parameters", options->plant,
+                   "the simulated brake, or a model that `clampctl diagnose --save` "
+                   "wrote (default: nominal, with noise)")
       ->type_name("PLANT.toml");
   command
       ->add_option("--trajectory", options->trajectory, "what `optimal` drives (default: the one that ships)")
       ->type_name("TRAJ.csv");
   command->add_option("--effect", options->effects, effect_help())->type_name("NAME=VALUE");
-  command->add_option("--seed", options->seed, "of the noise (default: the plant file's)");
+  command->add_option("--seed", options->seed, "of the noise (default: of the plant file and the manoeuvre)");
   command->add_option("--repeats", options->repeats, "how many runs")
       ->check(CLI::Range(1, 1000))
       ->capture_default_str();

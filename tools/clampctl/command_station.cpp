@@ -1,8 +1,13 @@
+#include <atomic>
+#include <chrono>
+#include <csignal>
 #include <memory>
 #include <optional>
+#include <thread>
 
 #include <fmt/format.h>
 
+#include "clampd/station/verdict.hpp"
 #include "tools/assembly/prepared_station.hpp"
 #include "tools/assembly/publishing.hpp"
 #include "tools/clampctl/command.hpp"
@@ -34,8 +39,64 @@ int with_daemon(const CommonOptions& common, Ask ask) {
   return ask(daemon);
 }
 
+using namespace std::chrono_literals;
+
+std::string clamped_text(const control::StationStatus& status) {
+  return fmt::format("the brake is CLAMPED: {:.0f} N stand on it; `clampctl open` opens it",
+                     status.clamped_N);
+}
+
+/// Waits until the loop confirms the stop, which takes a millisecond.
+int stop_brake(const control::Client& daemon) {
+  if (const Result<void> asked = daemon.stop(); !asked) return report(asked.error(), cli::kStation);
+  for (int i = 0; i < 40; ++i) {
+    const Result<control::StationStatus> status = daemon.status();
+    if (!status) return report(status.error(), cli::kStation);
+    if (status->stops_taken >= status->stops) {
+      fmt::print("stopped; the station is in {}\n", status->state);
+      if (status->clamped) fmt::print("{}\n", clamped_text(*status));
+      return cli::kSuccess;
+    }
+    std::this_thread::sleep_for(25ms);
+  }
+  return report({"the station took the stop, but its loop does not confirm it: use the emergency stop"},
+                cli::kStation);
+}
+
+std::atomic<bool> opening_interrupted{false};
+
+/// Follows the opening to its end; Ctrl-C stops the brake.
+int open_brake(const control::Client& daemon) {
+  opening_interrupted = false;
+  struct sigaction action {};
+  action.sa_handler = [](int) { opening_interrupted = true; };
+  sigaction(SIGINT, &action, nullptr);
+  sigaction(SIGTERM, &action, nullptr);
+  const Result<std::string> id = daemon.open();
+  if (!id) return report(id.error(), cli::kStation);
+  while (true) {
+    if (opening_interrupted.exchange(false))
+      if (const Result<void> stopped = daemon.stop(); !stopped) cli::print_error(stopped.error().message);
+    const Result<control::StationStatus> status = daemon.status();
+    if (!status) return report(status.error(), cli::kStation);
+    if (status->open_id != *id)
+      return report({"the station's daemon was restarted while the brake was being opened; look at the rig"},
+                    cli::kStation);
+    if (!status->opening) {
+      if (status->open_result != "OPEN")
+        return report({fmt::format("the brake was not opened: {}", status->open_reason)},
+                      exit_code(parse_verdict(status->open_result).value_or(Verdict::Error)));
+      fmt::print("the brake is open, {:.0f} N\n", status->force_N);
+      return cli::kSuccess;
+    }
+    std::this_thread::sleep_for(50ms);
+  }
+}
+
 void print_status(const control::StationStatus& status) {
   fmt::print("{}  {}{}\n", status.station, status.state, status.simulated ? "  (simulated brake)" : "");
+  if (status.clamped) fmt::print("\n  {}\n\n", clamped_text(status));
+  if (status.opening) fmt::print("  opening    under way\n");
   if (status.fault != "none") {
     fmt::print("  fault      {}: {}\n", status.fault, status.fault_text);
     fmt::print("             {}\n",
@@ -98,16 +159,18 @@ void add_station_commands(CLI::App& app, const CommonOptions& common, int& exit_
   });
 
   app.add_subcommand("stop", "stop the brake now")->callback([&common, &exit_code] {
-    exit_code = with_daemon(common, [](const control::Client& daemon) {
-      const Result<void> stopped = daemon.stop();
-      return stopped ? static_cast<int>(cli::kSuccess) : report(stopped.error(), cli::kStation);
-    });
+    exit_code = with_daemon(common, stop_brake);
   });
+
+  app.add_subcommand("open", "open a brake that stays clamped, supervised as a check is; Ctrl-C stops it")
+      ->callback([&common, &exit_code] { exit_code = with_daemon(common, open_brake); });
 
   app.add_subcommand("clear", "clear a fault whose cause is gone")->callback([&common, &exit_code] {
     exit_code = with_daemon(common, [](const control::Client& daemon) {
       const Result<void> cleared = daemon.clear();
-      return cleared ? static_cast<int>(cli::kSuccess) : report(cleared.error(), cli::kStation);
+      if (!cleared) return report(cleared.error(), cli::kStation);
+      fmt::print("cleared\n");
+      return static_cast<int>(cli::kSuccess);
     });
   });
 }

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <csignal>
 #include <cstdio>
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <thread>
@@ -20,6 +21,7 @@
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 #include "tools/control/messages.hpp"
+#include "tools/control/secret_file.hpp"
 
 namespace clampd::ctl {
 
@@ -27,7 +29,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-std::atomic<bool> interrupted{false};
+std::atomic<bool> watch_interrupted{false};
 
 /// From -1 to 1 around the middle, or from 0 to 1, in characters.
 std::string bar(double fraction, bool both_ways) {
@@ -42,11 +44,21 @@ std::string bar(double fraction, bool both_ways) {
   return text;
 }
 
+/// What must be seen from the other end of the hall.
+std::string banner(const std::string& text, const char* code, bool colour) {
+  if (!colour) return fmt::format("  =====  {}  =====\n", text);
+  const std::string line = fmt::format("  \033[{}m{:<60}\033[0m\n", code, "");
+  return line + fmt::format("  \033[{}m{:^60}\033[0m\n", code, text) + line;
+}
+
 std::string headline(const control::StationStatus& status) {
   std::string text = status.state;
+  if (status.clamped) text += fmt::format("  CLAMPED {:.0f} kN", status.clamped_N * 1e-3);
+  if (status.opening) text += "  opening";
   if (status.fault != "none") text += fmt::format("  {}", status.fault);
   if (status.judging)
-    text += fmt::format("  {}: judging", status.serial);
+    text += fmt::format("  {}: judging{}", status.serial,
+                        status.cause_searched > 0.0 ? ", searching for the cause" : "");
   else if (status.repeats > 0)
     text += fmt::format("  {}: run {} of {}, {}", status.serial, std::min(status.repeat + 1, status.repeats),
                         status.repeats, status.phase);
@@ -76,6 +88,11 @@ std::string screen(const control::StationStatus& status, bool colour) {
                                         : !status.last_verdict.empty() ? verdict_colour(status.last_verdict)
                                                                        : "1",
                                         headline(status)));
+  if (status.clamped)
+    text += paint("1;37;41",
+                  fmt::format("   THE BRAKE IS CLAMPED: {:.0f} N stand on it; `clampctl open` opens it   ",
+                              status.clamped_N)) +
+            "\n\n";
   text += fmt::format("  force    {} {:8.0f} N\n", bar(status.force_N / 30e3, false), status.force_N);
   text += fmt::format("  speed    {} {:8.1f} rad/s\n", bar(status.velocity_rad_s / 300.0, true),
                       status.velocity_rad_s);
@@ -120,41 +137,75 @@ Result<control::Client> client(const CommonOptions& common, StationConfiguration
                          configuration.control.token_file);
 }
 
+/// How long the station may stay silent before the picture of it is taken away.
+constexpr std::chrono::milliseconds kPatience = 1500ms;
+
+std::string silence_screen(const std::string& why, std::chrono::nanoseconds silent, bool colour) {
+  return banner("NO ANSWER", "1;97;41", colour) +
+         fmt::format("\n  What the station does is not known, for {} s now: {}\n",
+                     std::chrono::duration_cast<std::chrono::seconds>(silent).count(), why);
+}
+
+/// Writes each change of the station as a line.
+class ChangeLog {
+ public:
+  explicit ChangeLog(bool json) : json_(json) {}
+
+  /// False where nobody reads any more.
+  bool take(const control::StationStatus& status) {
+    std::string line = log_line(status);
+    if (line == last_) return true;
+    last_ = std::move(line);
+    if (!json_) return write(last_);
+    fmt::print("{}\n", nlohmann::json(status).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace));
+    return std::fflush(stdout) == 0;
+  }
+
+  bool take_silence(const std::string& why) {
+    if (json_ || last_ == why) return true;
+    last_ = why;
+    return write("NO ANSWER  " + why);
+  }
+
+ private:
+  static bool write(const std::string& line) {
+    fmt::print("{}  {}\n", format_utc(utc_now_ns()), line);
+    return std::fflush(stdout) == 0;
+  }
+
+  bool json_;
+  std::string last_;
+};
+
 int watch(bool json, const CommonOptions& common) {
   StationConfiguration configuration;
   const Result<control::Client> daemon = client(common, configuration);
   if (!daemon) return cli::refuse(daemon.error());
-  interrupted = false;
+  watch_interrupted = false;
   struct sigaction action {};
-  action.sa_handler = [](int) { interrupted = true; };
+  action.sa_handler = [](int) { watch_interrupted = true; };
   sigaction(SIGINT, &action, nullptr);
   sigaction(SIGTERM, &action, nullptr);
 
   const bool terminal = isatty(STDOUT_FILENO) == 1 && !json;
   if (terminal) fmt::print("\033[?1049h\033[?25l\033[?7l");  // another screen, no cursor, no wrapping
-  std::string last;
+  ChangeLog log(json);
   std::string lost;
-  while (!interrupted) {
-    const Result<control::StationStatus> status = daemon->status();
-    if (!status) {
-      lost = status.error().message;
-      if (!terminal) break;
-      redraw(lost + "\n");
-    } else {
-      lost.clear();
-      if (terminal) {
-        redraw(screen(*status, cli::colours_wanted()));
-      } else if (std::string line = log_line(*status); line != last) {
-        if (json)
-          fmt::print("{}\n",
-                     nlohmann::json(*status).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace));
-        else
-          fmt::print("{}  {}\n", format_utc(utc_now_ns()), line);
-        if (std::fflush(stdout) != 0) break;
-        last = std::move(line);
-      }
-    }
-    for (int i = 0; i < 4 && !interrupted; ++i) std::this_thread::sleep_for(50ms);
+  using Clock = std::chrono::steady_clock;
+  auto answered = Clock::now();
+  while (!watch_interrupted) {
+    const auto asked = Clock::now();
+    const Result<control::StationStatus> status = daemon->status(kPatience);
+    lost = status ? std::string() : status.error().message;
+    if (status) answered = Clock::now();
+    // Who keeps silent may speak again; where nobody listens at once, a log has come to its end.
+    const bool hung = Clock::now() - asked >= kPatience / 2;
+    if (terminal)
+      redraw(status ? screen(*status, cli::colours_wanted())
+                    : silence_screen(lost, Clock::now() - answered, cli::colours_wanted()));
+    else if (!(status ? log.take(*status) : hung && log.take_silence(lost)))
+      break;
+    for (int i = 0; i < 4 && !watch_interrupted; ++i) std::this_thread::sleep_for(50ms);
   }
   if (terminal) {
     fmt::print("\033[?7h\033[?25h\033[?1049l");
@@ -165,7 +216,29 @@ int watch(bool json, const CommonOptions& common) {
   return cli::kStation;
 }
 
-int print_address(const CommonOptions& common) {
+/// The screen's address with the token that lets it start checks.
+Result<std::string> screen_address(const ControlSettings& control) {
+  const bool v6 = control.address.find(':') != std::string::npos;
+  const std::string host = v6 ? "[" + control.address + "]" : control.address;
+  std::string token;
+  if (!control.token_file.empty()) {
+    const Result<std::string> read = read_file(control.token_file);
+    if (!read) return tl::unexpected(read.error());
+    token = "#token=" + read->substr(0, read->find_last_not_of(" \r\n") + 1);
+  }
+  return fmt::format("http://{}:{}/{}", host, control.port, token);
+}
+
+/// A page that leads to the screen. On a browser's command line the address itself, and the token in it,
+/// could be read by every user of the machine.
+std::string kiosk_page(const std::string& address) {
+  return fmt::format(
+      "<!doctype html><meta charset=\"utf-8\"><title>clampd</title>"
+      "<meta http-equiv=\"refresh\" content=\"0;url={}\">\n",
+      address);
+}
+
+int print_address(const CommonOptions& common, const std::string& kiosk_file) {
   StationConfiguration configuration;
   const Result<control::Client> daemon = client(common, configuration);
   if (!daemon) return cli::refuse(daemon.error());
@@ -173,15 +246,16 @@ int print_address(const CommonOptions& common) {
     cli::print_error(status.error().message);
     return cli::kStation;
   }
-  std::string address = configuration.control.address;
-  if (address.find(':') != std::string::npos) address = "[" + address + "]";
-  std::string token;
-  if (!configuration.control.token_file.empty()) {
-    const Result<std::string> read = read_file(configuration.control.token_file);
-    if (!read) return cli::refuse(read.error());
-    token = "#token=" + read->substr(0, read->find_last_not_of(" \r\n") + 1);
+  const Result<std::string> address = screen_address(configuration.control);
+  if (!address) return cli::refuse(address.error());
+  if (kiosk_file.empty()) {
+    fmt::print("{}\n", *address);
+    return cli::kSuccess;
   }
-  fmt::print("http://{}:{}/{}\n", address, configuration.control.port, token);
+  if (const Result<void> written = control::write_secret_file(kiosk_file, kiosk_page(*address), 0600);
+      !written)
+    return cli::refuse(written.error());
+  fmt::print("{}\n", std::filesystem::absolute(kiosk_file).string());
   return cli::kSuccess;
 }
 
@@ -194,9 +268,16 @@ void add_watch_commands(CLI::App& app, const CommonOptions& common, int& exit_co
   command->add_flag("--json", *json, "each change as a line of JSON");
   command->callback([json, &common, &exit_code] { exit_code = watch(*json, common); });
 
-  app.add_subcommand("screen",
-                     "the address of the station's screen, with the token that lets it start checks")
-      ->callback([&common, &exit_code] { exit_code = print_address(common); });
+  auto kiosk_file = std::make_shared<std::string>();
+  CLI::App* address = app.add_subcommand(
+      "screen", "the address of the station's screen, with the token that lets it start checks");
+  address
+      ->add_option(
+          "--kiosk-file", *kiosk_file,
+          "writes a page that leads there instead, which only you can read, and prints its path: for a "
+          "browser's command line, where the address would show the token to every user of the machine")
+      ->type_name("FILE.html");
+  address->callback([kiosk_file, &common, &exit_code] { exit_code = print_address(common, *kiosk_file); });
 }
 
 }  // namespace clampd::ctl

@@ -18,23 +18,41 @@ namespace clampd::ctl {
 
 namespace {
 
-nlohmann::ordered_json settled_cause_json(const Settlement& settlement) {
-  const std::optional<CauseRecord> known = cause_of(settlement.diagnosis);
-  if (!known) return nullptr;
-  nlohmann::ordered_json cause = cause_json(*known);
-  cause["experiments"] = nlohmann::ordered_json::array();
-  for (const NextExperiment& experiment : settlement.experiments)
-    cause["experiments"].push_back({{"manoeuvre", experiment.manoeuvre},
-                                    {"repeats", experiment.repeats},
-                                    {"expected_evidence_nats", experiment.expected_evidence_nats}});
-  return cause;
+nlohmann::ordered_json experiments_json(const std::vector<NextExperiment>& experiments) {
+  nlohmann::ordered_json list = nlohmann::ordered_json::array();
+  for (const NextExperiment& experiment : experiments)
+    list.push_back({{"manoeuvre", experiment.manoeuvre},
+                    {"repeats", experiment.repeats},
+                    {"expected_evidence_nats", experiment.expected_evidence_nats}});
+  return list;
+}
+
+/// The record's reason with what is known now in the place of what was known then.
+std::string settled_reason(const CheckRecord& record, const Diagnosis& diagnosis) {
+  std::string reason = record.reason;
+  const std::size_t said = record.cause ? reason.find(record.cause->summary) : std::string::npos;
+  if (said != std::string::npos)
+    reason.replace(said, record.cause->summary.size(), diagnosis.summary);
+  else if (diagnosis.verdict != DiagnosisVerdict::Adequate)
+    reason += " " + diagnosis.summary;
+  return reason;
+}
+
+/// Makes what the diagnosis found the record's own, here and in the store.
+Result<void> adopt(const Diagnosis& diagnosis, CheckRecord& record, CheckStore& store) {
+  std::optional<CauseRecord> cause = cause_of(diagnosis);
+  std::string reason = settled_reason(record, diagnosis);
+  if (cause == record.cause && reason == record.reason) return {};
+  record.cause = std::move(cause);
+  record.reason = std::move(reason);
+  return store.save_settled_cause(record.id, record.cause, record.reason);
 }
 
 }  // namespace
 
-SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& station, CheckStore& store,
+SettledCheck settle_check(CheckRecord& record, assembly::EmbeddedStation& station, CheckStore& store,
                           const BrakeParameters& nominal, const assembly::EmbeddedStation::Progress& progress,
-                          cli::ProgressLine& line) {
+                          const CauseSearch& search, cli::ProgressLine& line) {
   SettledCheck settled;
   if (record.fault != FaultCause::None || record.verdict == Verdict::Timeout || record.runs.empty()) {
     settled.problem = "nothing to settle: the check did not end by itself";
@@ -43,7 +61,8 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
   const std::vector<Run> runs = runs_of(record);
   SettleOptions options;
   options.diagnose = diagnose_options(record, nominal);
-  options.diagnose.progress = [&line](double share, const std::string& words) { line.show(share, words); };
+  options.diagnose.progress = search.progress;
+  options.diagnose.given_up = search.given_up;
   std::string announced;
   options.announce = [&](const NextExperiment& next) {
     line.clear();
@@ -55,7 +74,7 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
     CheckRequest request;
     request.serial = record.serial;
     request.repeats = static_cast<std::uint32_t>(repeats);
-    if (const Result<void> usable = station.use_trajectory(trajectory, request.repeats); !usable)
+    if (const Result<void> usable = station.use_trajectory(trajectory); !usable)
       return tl::unexpected(usable.error());
     request.operator_name = record.operator_name;
     request.part_number = record.part_number;
@@ -81,16 +100,24 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
     return driven;
   };
 
-  Result<Diagnosis> first = diagnose(runs, options.diagnose);
+  // A check that the model did not explain has been diagnosed already, from the same runs.
+  std::optional<Diagnosis> known = station.take_diagnosis();
+  Result<Diagnosis> first = known ? Result<Diagnosis>(*std::move(known)) : diagnose(runs, options.diagnose);
   if (!first) {
     settled.problem = first.error().message;
+    if (search.given_up()) settled.exit_code = cli::kAborted;
     return settled;
   }
+  const auto take_over = [&](const Diagnosis& diagnosis, const std::vector<NextExperiment>& experiments) {
+    const Result<void> adopted = adopt(diagnosis, record, store);
+    if (!adopted)
+      settled.problem = "what was found could not be saved with the record: " + adopted.error().message;
+    if (record.cause) settled.experiments = experiments_json(experiments);
+  };
   Result<Settlement> settlement = settle(*first, runs, drive, options);
   if (!settlement) {
     settled.text = announced + diagnosis_text(*first, {.runs = runs.size()}, cli::colours_wanted());
-    settled.cause =
-        settled_cause_json({.diagnosis = std::move(*first), .runs = {}, .experiments = {}, .words = {}});
+    take_over(*first, {});
     settled.problem = settlement.error().message;
     if (!settled.exit_code) settled.exit_code = cli::kStation;
     return settled;
@@ -99,7 +126,7 @@ SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& 
                                             cli::colours_wanted());
   if (!settlement->experiments.empty() || settlement->diagnosis.verdict == DiagnosisVerdict::Ambiguous)
     settled.text += fmt::format("\nSettling: {}.\n", settlement->words);
-  settled.cause = settled_cause_json(*settlement);
+  take_over(settlement->diagnosis, settlement->experiments);
   return settled;
 }
 

@@ -15,17 +15,19 @@ namespace clampd::ctl {
 
 /// What came of a check whose cause was sought.
 struct SettledCheck {
-  std::string text;              ///< the diagnosis, for a terminal
-  nlohmann::ordered_json cause;  ///< of clampd.check/1; null where the base model explains the runs
+  std::string text;  ///< the diagnosis, for a terminal
+  nlohmann::ordered_json
+      experiments;               ///< that were run, in this order; null where there is no cause to settle
   std::string problem;           ///< what went wrong while settling; empty if nothing
   std::optional<int> exit_code;  ///< then: how the sequence that went wrong ended
 };
 
 /// Diagnoses a finished check; if its cause is one of several, runs the experiments that tell them apart on
-/// the same station, and diagnoses all runs together. Their records say nothing about the brake's limits:
-/// only those are saved that end in a fault.
-SettledCheck settle_check(const CheckRecord& record, assembly::EmbeddedStation& station, CheckStore& store,
+/// the same station, and diagnoses all runs together. What is found becomes the record's cause and stands in
+/// its reason, here and in the store. The experiments' own records say nothing about the brake's limits: only
+/// those are saved that end in a fault. What the check itself was diagnosed with is not searched for again.
+SettledCheck settle_check(CheckRecord& record, assembly::EmbeddedStation& station, CheckStore& store,
                           const BrakeParameters& nominal, const assembly::EmbeddedStation::Progress& progress,
-                          cli::ProgressLine& line);
+                          const CauseSearch& search, cli::ProgressLine& line);
 
 }  // namespace clampd::ctl

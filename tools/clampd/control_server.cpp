@@ -1,397 +1,482 @@
 #include "tools/clampd/control_server.hpp"
 
 #include <arpa/inet.h>
-#include <fcntl.h>
-#include <poll.h>
-#include <sys/eventfd.h>
-#include <sys/socket.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
-#include <atomic>
-#include <cerrno>
 #include <charconv>
-#include <chrono>
-#include <cstring>
+#include <functional>
 #include <limits>
 #include <optional>
+#include <string_view>
+#include <utility>
+#include <variant>
+#include <vector>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <openssl/crypto.h>
+#include <spdlog/spdlog.h>
 
-#include "clampd/base/entropy.hpp"
-#include "clampd/record/file.hpp"
+#include "tools/clampd/token_file.hpp"
 #include "tools/dashboard/assets.hpp"
-
-// Last: it brings in <resolv.h> by httplib, whose macro _res breaks Eigen's headers.
-#include "tools/clampd/request_stream.hpp"
+#include "tools/http/server.hpp"
 
 namespace clampd::daemon {
 
 namespace {
 
-constexpr const char* kJson = "application/json";
-constexpr std::size_t kLargestBody = 64 * 1024;
-constexpr std::size_t kLargestRequest = kLargestBody + 16 * 1024;  // with its headers
-constexpr std::chrono::milliseconds kLongestRequest{2000};
+using http::refusal;
+using http::Request;
+using http::Response;
+using Names = std::vector<std::string_view>;
 
-void answer(httplib::Response& response, int status, const nlohmann::ordered_json& document) {
-  response.status = status;
+constexpr std::string_view kJson = "application/json";
+constexpr std::uint32_t kMostChecks = 1000;  // of one answer
+
+/// Who does what: the archive may wait for a disk and a command for a lock, and neither may keep the other,
+/// or the question what the station does now, from being answered.
+enum Worker : std::size_t { kCommands, kStation, kArchive };
+const std::vector<http::PoolSize> kWorkers{{1, 8}, {1, 32}, {2, 16}};
+constexpr std::optional<std::size_t> kAtOnce;
+
+/// What the screen may do in a browser: nothing but itself, from nowhere else.
+const http::Fields kHeaders{
+    {"Content-Security-Policy",
+     "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"},
+    {"X-Content-Type-Options", "nosniff"},
+    {"X-Frame-Options", "DENY"},
+    {"Referrer-Policy", "no-referrer"},
+    {"Cross-Origin-Resource-Policy", "same-origin"},
+    {"Cross-Origin-Opener-Policy", "same-origin"},
+    {"Cache-Control", "no-store"}};
+
+Response answer(const nlohmann::ordered_json& document) {
   // A text that is not UTF-8 is shown with marks in it rather than not at all.
-  response.set_content(document.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace),
-                       kJson);
+  return {200, document.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace)};
 }
 
-void refuse(httplib::Response& response, int status, const std::string& why) {
-  answer(response, status, {{"error", why}});
+Response answer_or_refuse(const Result<nlohmann::ordered_json>& result, int status) {
+  return result ? answer(*result) : refusal(status, result.error().message);
 }
 
-void answer_or_refuse(httplib::Response& response, const Result<nlohmann::ordered_json>& result,
-                      int refusal) {
-  if (result)
-    answer(response, 200, *result);
-  else
-    refuse(response, refusal, result.error().message);
+Response done_or_refuse(const Result<void>& result) {
+  return result ? answer(nlohmann::ordered_json::object()) : refusal(409, result.error().message);
 }
 
-constexpr std::size_t kTokenDigits = 64;
-
-/// The token of an earlier start; nothing where the file is not ours alone or holds something else.
-std::optional<std::string> earlier_token(const std::string& file) {
-  struct stat found {};
-  if (lstat(file.c_str(), &found) != 0 || !S_ISREG(found.st_mode) || found.st_uid != geteuid() ||
-      (found.st_mode & (S_IWGRP | S_IRWXO)) != 0)
-    return std::nullopt;
-  Result<std::string> token = read_file(file);
-  if (!token || token->size() != kTokenDigits + 1 || token->back() != '\n') return std::nullopt;
-  token->pop_back();
-  if (token->find_first_not_of("0123456789abcdef") != std::string::npos) return std::nullopt;
-  return *token;
+/// A whole number from `least` to `most` of the query; `absent` where it is not there.
+template <class Number>
+Result<Number> read_number(const Request& request, std::string_view name, Number least, Number most,
+                           Number absent) {
+  if (!request.has_parameter(name)) return absent;
+  const std::string_view text = request.parameter(name);
+  Number number{};
+  const auto parsed = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (parsed.ec == std::errc() && parsed.ptr == text.data() + text.size() && number >= least &&
+      number <= most)
+    return number;
+  return failure(fmt::format("{} must be a whole number from {} to {}", name, least, most));
 }
 
-std::string random_token() {
-  std::random_device random = entropy();
-  std::string token;
-  for (int i = 0; i < 8; ++i) token += fmt::format("{:08x}", random());
-  return token;
-}
-
-/// Nothing, and the refusal as response, if the body is no valid check request.
-std::optional<CheckRequest> read_request(const httplib::Request& request, httplib::Response& response) {
-  CheckRequest check;
-  try {
-    check = nlohmann::json::parse(request.body).get<CheckRequest>();
-  } catch (const nlohmann::json::exception& mistake) {
-    refuse(response, 400, std::string("the request is not a check request: ") + mistake.what());
-    return std::nullopt;
-  }
-  if (const Result<void> valid = validate(check); !valid) {
-    refuse(response, 400, valid.error().message);
-    return std::nullopt;
-  }
+/// The check request in a body.
+Result<CheckRequest> read_check(const Request& request) {
+  Result<CheckRequest> check = control::parse_check_request(request.body);
+  if (!check) return check;
+  if (const Result<void> valid = validate(*check); !valid) return tl::unexpected(valid.error());
   return check;
 }
 
-bool same_token(const std::string& given, const std::string& expected) {
+const Names kFilter{"serial", "part_number", "batch", "operator", "verdict", "since", "until", "limit"};
+
+/// Which checks are asked for.
+Result<CheckFilter> read_filter(const Request& request, std::uint32_t usual_limit) {
+  CheckFilter filter;
+  const auto limit = read_number<std::uint32_t>(request, "limit", 1, kMostChecks, usual_limit);
+  if (!limit) return tl::unexpected(limit.error());
+  filter.limit = *limit;
+  filter.serial = request.parameter("serial");
+  filter.part_number = request.parameter("part_number");
+  filter.batch = request.parameter("batch");
+  filter.operator_name = request.parameter("operator");
+  filter.since = request.parameter("since");
+  filter.until = request.parameter("until");
+  const std::string_view verdict = request.parameter("verdict");
+  filter.verdict = parse_verdict(verdict);
+  if (!verdict.empty() && !filter.verdict)
+    return failure("no such verdict; there are PASS, FAIL, ERROR, TIMEOUT, ABORTED");
+  for (const std::string& time : {filter.since, filter.until})
+    if (!time.empty() && !is_filter_time(time))
+      return failure("since and until must be a date 2026-11-21 or a time 2026-11-21T14:30Z (UTC)");
+  return filter;
+}
+
+bool is_check_id(std::string_view text) {
+  constexpr std::string_view kCharacters =
+      "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_.:-";
+  return !text.empty() && text.find_first_not_of(kCharacters) == std::string_view::npos;
+}
+
+/// The parts of a path that stand where the pattern has {}; nothing where it does not fit.
+std::optional<Names> match(std::string_view pattern, std::string_view path) {
+  Names parts;
+  while (true) {
+    const std::string_view wanted = pattern.substr(0, pattern.find('/'));
+    const std::string_view given = path.substr(0, path.find('/'));
+    if (wanted == "{}" && is_check_id(given))
+      parts.push_back(given);
+    else if (wanted != given)
+      return std::nullopt;
+    if (wanted.size() == pattern.size() || given.size() == path.size()) break;
+    pattern.remove_prefix(wanted.size() + 1);
+    path.remove_prefix(given.size() + 1);
+  }
+  if (pattern.find('/') != std::string_view::npos || path.find('/') != std::string_view::npos)
+    return std::nullopt;
+  return parts;
+}
+
+std::string lower(std::string_view text) {
+  std::string out(text);
+  std::transform(out.begin(), out.end(), out.begin(),
+                 [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
+  return out;
+}
+
+bool same_token(std::string_view given, std::string_view expected) {
   return given.size() == expected.size() &&
          CRYPTO_memcmp(given.data(), expected.data(), expected.size()) == 0;
 }
 
 }  // namespace
 
-struct ControlServer::Http final : public httplib::Server {
-  std::string token;    ///< empty: none is asked for
-  std::string machine;  ///< this host's name
-  std::atomic<bool> stopping{false};
+/// Which request is for whom, and who may.
+class ControlServer::Api {
+ public:
+  Api(ControlTarget& target, std::string token, std::vector<std::string> origins);
 
-  bool has_token(const httplib::Request& request) const {
-    return token.empty() || same_token(request.get_header_value("Authorization"), "Bearer " + token);
-  }
-
-  /// Whatever moves or stops the brake passes here.
-  bool may_command(const httplib::Request& request, httplib::Response& response) const {
-    if (has_token(request)) return true;
-    refuse(response, 401,
-           "this needs the token of the daemon's token file (Authorization: Bearer ...); for a screen, "
-           "`clampctl screen` prints an address that has it");
-    return false;
-  }
-
-  /// A host that no other site can be: a name could be made to point here, an address not.
-  bool is_own_host(const std::string& host) const {
-    std::string name = host;
-    if (!name.empty() && name.front() == '[') {
-      const std::size_t end = name.find(']');
-      if (end == std::string::npos) return false;
-      name = name.substr(1, end - 1);
-    } else if (const std::size_t colon = name.find(':'); colon != std::string::npos) {
-      name.resize(colon);
-    }
-    std::array<unsigned char, sizeof(in6_addr)> address{};
-    return name == "localhost" || (!machine.empty() && name == machine) ||
-           inet_pton(AF_INET, name.c_str(), address.data()) == 1 ||
-           inet_pton(AF_INET6, name.c_str(), address.data()) == 1;
-  }
-
-  /// Every request passes here before its body is read.
-  HandlerResponse admit(const httplib::Request& request, httplib::Response& response) const {
-    const std::string host = request.get_header_value("Host");
-    if (request.get_header_value_count("Host") != 1 || !is_own_host(host)) {
-      refuse(response, 421,
-             "this is not the host that was asked for: use its address, its name or localhost");
-    } else if ((request.has_header("Origin") && request.get_header_value("Origin") != "http://" + host) ||
-               (request.get_header_value("Sec-Fetch-Site") == "cross-site" &&
-                request.path.starts_with("/v1/"))) {
-      refuse(response, 403, "requests of other web pages are refused");
-    } else if (request.method != "GET" && request.method != "HEAD" && request.method != "POST") {
-      response.set_header("Allow", "GET, HEAD, POST");
-      refuse(response, 405, "there are GET and POST");
-    } else if (request.has_header("Transfer-Encoding")) {
-      refuse(response, 411, "the body must come with its length");
-    } else if (request.method == "POST" && !request.get_header_value("Content-Type").starts_with(kJson)) {
-      refuse(response, 415, "the body must be application/json");
-    } else {
-      return HandlerResponse::Unhandled;
-    }
-    return HandlerResponse::Handled;
-  }
-
-  /// The socket that was bound, or the one that is given. False: see errno.
-  bool take_socket(int inherited) {
-    listening_ = inherited >= 0 ? inherited : svr_sock_.exchange(INVALID_SOCKET);
-    wake_ = eventfd(0, EFD_CLOEXEC);
-    const int flags = fcntl(listening_, F_GETFL);
-    return wake_ >= 0 && flags >= 0 && fcntl(listening_, F_SETFL, flags | O_NONBLOCK) == 0;
-  }
-
-  /// The library's own loop ends by shutting its socket down, also for whoever shares it.
-  void serve() {
-    const std::unique_ptr<httplib::TaskQueue> workers(new_task_queue());
-    while (!stopping) {
-      std::array waiting{pollfd{listening_, POLLIN, 0}, pollfd{wake_, POLLIN, 0}};
-      poll(waiting.data(), waiting.size(), -1);
-      if (waiting[0].revents == 0) continue;
-      const int socket = accept4(listening_, nullptr, nullptr, SOCK_CLOEXEC);
-      if (socket >= 0)
-        workers->enqueue([this, socket] { process_and_close_socket(socket); });
-      else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM)
-        poll(&waiting[1], 1, 10);  // until others have closed some
-    }
-    workers->shutdown();
-  }
-
-  void end() {
-    stopping = true;
-    eventfd_write(wake_, 1);
-  }
-
-  ~Http() override {
-    for (const int file : {listening_, wake_})
-      if (file >= 0) ::close(file);
-  }
+  std::variant<Response, http::Job> route(const Request& request) const;
 
  private:
-  int listening_ = -1;
-  int wake_ = -1;
+  /// `parts`: what stands in the path's places {}.
+  using Handler = std::function<Response(const Request& request, const Names& parts)>;
+  /// What starts something knows when it was asked for.
+  using Starter = std::function<Response(const Request& request, const rt::StartTicket& ticket)>;
+  enum class Needs { Nothing, Token, TokenOrThisMachine };
+  struct Route {
+    std::string_view method;
+    std::string_view path;
+    std::optional<std::size_t> worker;
+    Handler handler;
+    Names parameters = {};
+    Needs needs = Needs::Nothing;
+    bool wants_body = false;
+    Starter starter = {};  ///< in place of the handler
+  };
 
-  /// The library's own lets a connection wait for ever with a byte now and then; here it carries one request.
-  bool process_and_close_socket(socket_t socket) override {
-    RequestStream stream(socket, kLongestRequest, kLargestRequest, stopping);
-    bool closed = false;
-    const bool served = process_request(stream, true, closed, nullptr);
-    stream.drain();
-    ::close(socket);
-    return served;
-  }
+  void add_station_routes(ControlTarget& target);
+  void add_command_routes(ControlTarget& target);
+  void add_archive_routes(ControlTarget& target);
+  /// A route that starts something; `start` gets the stops that whoever asks has seen, if that is said.
+  void add_start(std::string_view path, bool wants_body,
+                 std::function<Response(const Request&, const rt::StartTicket&, std::optional<std::uint64_t>)> start);
+
+  bool is_own_host(std::string_view host) const;
+  bool is_proxied_host(std::string_view host) const;
+  bool is_own_origin(const Request& request) const;
+  bool is_on_this_machine(const Request& request) const;
+  bool has_token(const Request& request) const;
+  std::optional<Response> refuse_sender(const Request& request) const;
+  std::optional<Response> refuse_form(const Request& request) const;
+  std::optional<Response> refuse_for(const Route& route, const Request& request) const;
+
+  ControlTarget& target_;
+  const std::string token_;                 ///< empty: none is asked for
+  const std::vector<std::string> origins_;  ///< of proxies, in lower case
+  std::string machine_;                     ///< this host's name
+  std::vector<Route> routes_;
 };
 
-namespace {
+ControlServer::Api::Api(ControlTarget& target, std::string token, std::vector<std::string> origins)
+    : target_(target), token_(std::move(token)), origins_(std::move(origins)) {
+  std::array<char, 256> machine{};
+  if (gethostname(machine.data(), machine.size() - 1) == 0) machine_ = lower(machine.data());
+  for (const dashboard::Asset& asset : dashboard::assets())
+    routes_.push_back({"GET", asset.path, kAtOnce, [&asset](const Request&, const Names&) {
+                         return Response{200, std::string(asset.content), asset.type};
+                       }});
+  add_command_routes(target);
+  add_station_routes(target);
+  add_archive_routes(target);
+}
 
-/// A whole number from `least` to `most` of the query; `absent` where it is not there, nothing (and the
-/// refusal as response) where it is something else.
-template <class Number>
-std::optional<Number> read_number(const httplib::Request& request, httplib::Response& response,
-                                  const char* name, Number least, Number most, Number absent) {
-  if (!request.has_param(name)) return absent;
-  const std::string text = request.get_param_value(name);
-  Number number{};
-  const auto parsed = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (parsed.ec == std::errc() && parsed.ptr == text.data() + text.size() && number >= least &&
-      number <= most)
-    return number;
-  refuse(response, 400, fmt::format("{} must be a number from {} to {}", name, least, most));
+void ControlServer::Api::add_command_routes(ControlTarget& target) {
+  // By the thread of all connections: a stop waits for no worker, lock or disk, not even for its own body.
+  routes_.push_back({"POST",
+                     "/v1/stop",
+                     kAtOnce,
+                     [&target](const Request&, const Names&) { return done_or_refuse(target.stop()); },
+                     {},
+                     Needs::TokenOrThisMachine});
+  routes_.push_back({"POST",
+                     "/v1/clear",
+                     kCommands,
+                     [&target](const Request&, const Names&) { return done_or_refuse(target.clear()); },
+                     {},
+                     Needs::Token});
+  add_start("/v1/checks", true,
+            [&target](const Request& request, const rt::StartTicket& ticket, std::optional<std::uint64_t> seen) {
+              const Result<CheckRequest> check = read_check(request);
+              if (!check) return refusal(400, check.error().message);
+              return answer_or_refuse(
+                  target.start(*check, ticket, seen).map([](const control::StartedCheck& started) {
+                    return nlohmann::ordered_json{{"check", started.check}, {"id", started.id}};
+                  }),
+                  409);
+            });
+  add_start("/v1/open", false,
+            [&target](const Request&, const rt::StartTicket& ticket, std::optional<std::uint64_t> seen) {
+              return answer_or_refuse(target.open(ticket, seen).map([](const std::string& id) {
+                return nlohmann::ordered_json{{"id", id}};
+              }),
+                                      409);
+            });
+  routes_.push_back({"POST",
+                     "/v1/next",
+                     kCommands,
+                     [&target](const Request& request, const Names&) {
+                       const Result<CheckRequest> check = read_check(request);
+                       return check ? done_or_refuse(target.next(*check)) : refusal(400, check.error().message);
+                     },
+                     {},
+                     Needs::Token,
+                     true});
+}
+
+void ControlServer::Api::add_start(
+    std::string_view path, bool wants_body,
+    std::function<Response(const Request&, const rt::StartTicket&, std::optional<std::uint64_t>)> start) {
+  const auto starter = [start = std::move(start)](const Request& request, const rt::StartTicket& ticket) {
+    if (!request.has_parameter("stops_seen")) return start(request, ticket, std::nullopt);
+    constexpr std::uint64_t kAny = std::numeric_limits<std::uint64_t>::max();
+    const auto seen = read_number<std::uint64_t>(request, "stops_seen", 0, kAny, 0);
+    return seen ? start(request, ticket, *seen) : refusal(400, seen.error().message);
+  };
+  routes_.push_back({"POST", path, kCommands, {}, {"stops_seen"}, Needs::Token, wants_body, starter});
+}
+
+void ControlServer::Api::add_station_routes(ControlTarget& target) {
+  routes_.push_back({"GET", "/v1/session", kAtOnce, [this](const Request& request, const Names&) {
+                       const bool may_command = has_token(request);
+                       return answer({{"token_needed", !token_.empty()},
+                                      {"may_command", may_command},
+                                      {"may_stop", may_command || is_on_this_machine(request)}});
+                     }});
+  routes_.push_back({"GET", "/v1/status", kStation, [&target](const Request&, const Names&) {
+                       return answer(nlohmann::json(target.status()));
+                     }});
+  routes_.push_back({"GET",
+                     "/v1/checks/current",
+                     kStation,
+                     [&target](const Request& request, const Names&) {
+                       const auto colour = read_number<unsigned>(request, "colour", 0, 1, 0);
+                       if (!colour) return refusal(400, colour.error().message);
+                       return answer(control::progress_json(target.progress(*colour == 1)));
+                     },
+                     {"colour"}});
+  routes_.push_back({"GET", "/v1/reference", kStation,
+                     [&target](const Request&, const Names&) { return answer(target.reference()); }});
+  routes_.push_back({"GET",
+                     "/v1/live",
+                     kStation,
+                     [&target](const Request& request, const Names&) {
+                       constexpr std::uint64_t kAny = std::numeric_limits<std::uint32_t>::max();
+                       const auto run = read_number<std::uint64_t>(request, "run", 0, kAny, 0);
+                       const auto row = read_number<std::uint64_t>(request, "row", 0, kAny, 0);
+                       if (!run) return refusal(400, run.error().message);
+                       if (!row) return refusal(400, row.error().message);
+                       return answer(target.live(*run, *row));
+                     },
+                     {"run", "row"}});
+}
+
+void ControlServer::Api::add_archive_routes(ControlTarget& target) {
+  routes_.push_back({"GET", "/v1/results", kArchive,
+                     [&target](const Request& request, const Names&) {
+                       const Result<CheckFilter> filter = read_filter(request, 50);
+                       if (!filter) return refusal(400, filter.error().message);
+                       return answer_or_refuse(target.results(*filter), 503);
+                     },
+                     kFilter});
+  routes_.push_back({"GET", "/v1/results/{}", kArchive, [&target](const Request&, const Names& parts) {
+                       return answer_or_refuse(target.result(std::string(parts[0])), 404);
+                     }});
+  routes_.push_back(
+      {"GET", "/v1/results/{}/runs/{}", kArchive, [&target](const Request&, const Names& parts) {
+         std::uint16_t number = 0;
+         const auto parsed = std::from_chars(parts[1].data(), parts[1].data() + parts[1].size(), number);
+         if (parsed.ec != std::errc() || parsed.ptr != parts[1].data() + parts[1].size())
+           return refusal(404, "runs are numbered from 0");
+         return answer_or_refuse(target.run(std::string(parts[0]), number), 404);
+       }});
+  routes_.push_back({"GET", "/v1/statistics", kArchive,
+                     [&target](const Request& request, const Names&) {
+                       const Result<CheckFilter> filter = read_filter(request, 200);
+                       if (!filter) return refusal(400, filter.error().message);
+                       return answer_or_refuse(target.statistics(*filter), 503);
+                     },
+                     kFilter});
+}
+
+/// A host that no other site can be: a name could be made to point here, an address not.
+bool ControlServer::Api::is_own_host(std::string_view host) const {
+  std::string name = lower(host);
+  if (!name.empty() && name.front() == '[') {
+    const std::size_t end = name.find(']');
+    if (end == std::string::npos) return false;
+    name = name.substr(1, end - 1);
+  } else if (const std::size_t colon = name.find(':'); colon != std::string::npos) {
+    name.resize(colon);
+  }
+  std::array<unsigned char, sizeof(in6_addr)> address{};
+  return name == "localhost" || (!machine_.empty() && name == machine_) ||
+         inet_pton(AF_INET, name.c_str(), address.data()) == 1 ||
+         inet_pton(AF_INET6, name.c_str(), address.data()) == 1;
+}
+
+/// As a proxy that is named in the configuration may pass it on.
+bool ControlServer::Api::is_proxied_host(std::string_view host) const {
+  return std::any_of(origins_.begin(), origins_.end(), [&](const std::string& origin) {
+    return origin.substr(origin.find("//") + 2) == lower(host);
+  });
+}
+
+/// Whether a page that sent this, if it was one, came from here or through a proxy that may.
+bool ControlServer::Api::is_own_origin(const Request& request) const {
+  if (request.header_count("Origin") == 0) return true;
+  const std::string origin = lower(request.header("Origin"));
+  const std::string_view host = request.header("Host");
+  return request.header_count("Origin") == 1 &&
+         ((is_own_host(host) && origin == "http://" + lower(host)) ||
+          std::find(origins_.begin(), origins_.end(), origin) != origins_.end());
+}
+
+/// Not so for what a proxy on this machine passes on for others.
+bool ControlServer::Api::is_on_this_machine(const Request& request) const {
+  const bool passed_on = request.header_count("Forwarded") + request.header_count("X-Forwarded-For") +
+                             request.header_count("Via") >
+                         0;
+  const std::string_view origin = request.header("Origin");
+  const bool other_page = !origin.empty() && lower(origin) != "http://" + lower(request.header("Host"));
+  return request.from_this_machine && is_own_host(request.header("Host")) && !passed_on && !other_page;
+}
+
+bool ControlServer::Api::has_token(const Request& request) const {
+  return token_.empty() || same_token(request.header("Authorization"), "Bearer " + token_);
+}
+
+std::optional<Response> ControlServer::Api::refuse_sender(const Request& request) const {
+  const std::string_view host = request.header("Host");
+  if (request.header_count("Host") != 1 || !(is_own_host(host) || is_proxied_host(host)))
+    return refusal(421,
+                   "this is not the host that was asked for: use its address, its name or localhost; a "
+                   "proxy's name goes into control.origins of the configuration");
+  if (!is_own_origin(request) ||
+      (request.header("Sec-Fetch-Site") == "cross-site" && request.path.starts_with("/v1/")))
+    return refusal(403,
+                   "requests of other web pages are refused; the page behind a proxy needs the proxy's "
+                   "address in control.origins of the configuration");
   return std::nullopt;
 }
 
-constexpr std::uint32_t kMostResults = 1000;
-
-/// Which checks are asked for; nothing, and the refusal as response, if that cannot be told.
-std::optional<CheckFilter> read_filter(const httplib::Request& request, httplib::Response& response) {
-  CheckFilter filter;
-  const auto limit = read_number<std::uint32_t>(request, response, "limit", 1, kMostResults, filter.limit);
-  if (!limit) return std::nullopt;
-  filter.limit = *limit;
-  filter.serial = request.get_param_value("serial");
-  filter.part_number = request.get_param_value("part_number");
-  filter.batch = request.get_param_value("batch");
-  filter.operator_name = request.get_param_value("operator");
-  filter.since = request.get_param_value("since");
-  filter.until = request.get_param_value("until");
-  const std::string verdict = request.get_param_value("verdict");
-  filter.verdict = parse_verdict(verdict);
-  if (!verdict.empty() && !filter.verdict) {
-    refuse(response, 400, "no such verdict; there are PASS, FAIL, ERROR, TIMEOUT, ABORTED");
-    return std::nullopt;
+std::optional<Response> ControlServer::Api::refuse_form(const Request& request) const {
+  if (request.method != "GET" && request.method != "HEAD" && request.method != "POST") {
+    Response refused = refusal(405, "there are GET and POST");
+    refused.headers.emplace_back("Allow", "GET, HEAD, POST");
+    return refused;
   }
-  for (const std::string& time : {filter.since, filter.until})
-    if (!time.empty() && !is_filter_time(time)) {
-      refuse(response, 400, "since and until must be a date 2026-11-21 or a time 2026-11-21T14:30Z (UTC)");
-      return std::nullopt;
-    }
-  return filter;
+  if (request.header_count("Transfer-Encoding") > 0)
+    return refusal(411, "the body must come with its length");
+  if (request.header_count("Content-Encoding") > 0) return refusal(415, "the body must not be compressed");
+  if (request.header_count("Expect") > 0)
+    return refusal(417, "send the body at once, without Expect: 100-continue");
+  if (request.method == "POST" && !request.header("Content-Type").starts_with(kJson))
+    return refusal(415, "the body must be application/json");
+  return std::nullopt;
 }
 
-/// What the screen may do in a browser: nothing but itself, from nowhere else.
-httplib::Headers default_headers() {
-  return {
-      {"Content-Security-Policy",
-       "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"},
-      {"X-Content-Type-Options", "nosniff"},
-      {"X-Frame-Options", "DENY"},
-      {"Referrer-Policy", "no-referrer"},
-      {"Cross-Origin-Resource-Policy", "same-origin"},
-      {"Cross-Origin-Opener-Policy", "same-origin"},
-      {"Cache-Control", "no-store"}};
+/// Whatever moves or stops the brake passes here.
+std::optional<Response> ControlServer::Api::refuse_for(const Route& route, const Request& request) const {
+  if (route.needs != Needs::Nothing && !has_token(request) &&
+      !(route.needs == Needs::TokenOrThisMachine && is_on_this_machine(request)))
+    return refusal(
+        401,
+        "this needs the token of the daemon's token file (Authorization: Bearer ...); for a screen, "
+        "`clampctl screen` prints an address that has it");
+  for (const auto& [name, value] : request.query)
+    if (std::find(route.parameters.begin(), route.parameters.end(), name) == route.parameters.end())
+      return refusal(400, route.parameters.empty()
+                              ? fmt::format("{} has no parameters, so no \"{}\"", request.path, name)
+                              : fmt::format("{} has no parameter \"{}\"; there are {}", request.path, name,
+                                            fmt::join(route.parameters, ", ")));
+  return std::nullopt;
 }
 
-}  // namespace
-
-ControlServer::ControlServer() : http_(std::make_unique<Http>()) {}
-
-Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& target, const std::string& address,
-                                                            int port, const std::string& token_file,
-                                                            int inherited) {
-  std::unique_ptr<ControlServer> control(new ControlServer());
-  Http& http = *control->http_;
-  httplib::Server& server = http;
-  std::array<char, 256> machine{};
-  if (gethostname(machine.data(), machine.size() - 1) == 0) http.machine = machine.data();
-  if (!token_file.empty()) {
-    http.token = earlier_token(token_file).value_or(random_token());
-    const mode_t before = umask(0027);  // the operators' group may read it, nobody else
-    const Result<void> written = write_file_atomically(token_file, http.token + "\n");
-    umask(before);
-    if (!written) return tl::unexpected(Error{written.error().message + " (control.token_file)"});
+std::variant<Response, http::Job> ControlServer::Api::route(const Request& request) const {
+  if (std::optional<Response> refused = refuse_sender(request)) return std::move(*refused);
+  if (std::optional<Response> refused = refuse_form(request)) return std::move(*refused);
+  const std::string_view method = request.method == "HEAD" ? "GET" : std::string_view(request.method);
+  std::string_view other;  // method that this path has
+  for (const Route& route : routes_) {
+    if (!match(route.path, request.path)) continue;
+    other = route.method;
+    if (route.method != method) continue;
+    if (std::optional<Response> refused = refuse_for(route, request)) return std::move(*refused);
+    if (route.starter)
+      return http::Job{route.worker, route.wants_body, [&route, ticket = target_.ticket()](const Request& whole) {
+                         return route.starter(whole, ticket);
+                       }};
+    return http::Job{route.worker, route.wants_body, [&route](const Request& whole) {
+                       return route.handler(whole, *match(route.path, whole.path));
+                     }};
   }
-
-  // Not SO_REUSEPORT, the library's default: a second daemon must not share the port with the first.
-  server.set_socket_options([](socket_t socket) {
-    const int on = 1;
-    setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
-  });
-  // So many may dawdle at once before somebody waits for them.
-  server.new_task_queue = [] { return new httplib::ThreadPool(16); };
-  server.set_payload_max_length(kLargestBody);
-  server.set_default_headers(default_headers());
-  server.set_pre_routing_handler([&http](const httplib::Request& request, httplib::Response& response) {
-    return http.admit(request, response);
-  });
-  server.set_exception_handler(
-      [](const auto&, auto& response, std::exception_ptr) { refuse(response, 500, "internal error"); });
-
-  for (const dashboard::Asset& asset : dashboard::assets())
-    server.Get(std::string(asset.path), [&asset](const httplib::Request&, httplib::Response& response) {
-      response.set_content(asset.content.data(), asset.content.size(), std::string(asset.type));
-    });
-  server.Get("/v1/session", [&http](const httplib::Request& request, httplib::Response& response) {
-    answer(response, 200, {{"token_needed", !http.token.empty()}, {"may_command", http.has_token(request)}});
-  });
-  server.Get("/v1/status", [&target](const httplib::Request&, httplib::Response& response) {
-    answer(response, 200, nlohmann::json(target.status()));
-  });
-  server.Get("/v1/checks/current", [&target](const httplib::Request& request, httplib::Response& response) {
-    const control::CheckProgress progress = target.progress(request.get_param_value("colour") == "1");
-    answer(response, 200,
-           {{"check", progress.check},
-            {"finished", progress.finished},
-            {"phase", progress.phase},
-            {"repeat", progress.repeat},
-            {"repeats", progress.repeats},
-            {"record", progress.record},
-            {"table", progress.table}});
-  });
-  server.Post("/v1/checks", [&target, &http](const httplib::Request& request, httplib::Response& response) {
-    if (!http.may_command(request, response)) return;
-    const std::optional<CheckRequest> check = read_request(request, response);
-    if (!check) return;
-    const Result<std::uint64_t> started = target.start(*check);
-    answer_or_refuse(response, started.map([](std::uint64_t number) {
-      return nlohmann::ordered_json{{"check", number}};
-    }),
-                     409);
-  });
-  server.Post("/v1/next", [&target, &http](const httplib::Request& request, httplib::Response& response) {
-    if (!http.may_command(request, response)) return;
-    const std::optional<CheckRequest> check = read_request(request, response);
-    if (!check) return;
-    answer_or_refuse(response, target.next(*check).map([] { return nlohmann::ordered_json::object(); }), 409);
-  });
-  server.Post("/v1/stop", [&target, &http](const httplib::Request& request, httplib::Response& response) {
-    if (!http.may_command(request, response)) return;
-    answer_or_refuse(response, target.stop().map([] { return nlohmann::ordered_json::object(); }), 409);
-  });
-  server.Post("/v1/clear", [&target, &http](const httplib::Request& request, httplib::Response& response) {
-    if (!http.may_command(request, response)) return;
-    answer_or_refuse(response, target.clear().map([] { return nlohmann::ordered_json::object(); }), 409);
-  });
-  server.Get("/v1/results", [&target](const httplib::Request& request, httplib::Response& response) {
-    if (const std::optional<CheckFilter> filter = read_filter(request, response))
-      answer_or_refuse(response, target.results(*filter), 503);
-  });
-  server.Get(R"(/v1/results/([A-Za-z0-9_.:-]+))",
-             [&target](const httplib::Request& request, httplib::Response& response) {
-               answer_or_refuse(response, target.result(request.matches[1]), 404);
-             });
-  server.Get(R"(/v1/results/([A-Za-z0-9_.:-]+)/runs/([0-9]{1,4}))", [&target](const httplib::Request& request,
-                                                                              httplib::Response& response) {
-    answer_or_refuse(response, target.run(request.matches[1], std::stoul(request.matches[2])), 404);
-  });
-  server.Get("/v1/statistics", [&target](const httplib::Request& request, httplib::Response& response) {
-    const auto limit = read_number<std::uint32_t>(request, response, "limit", 1, kMostResults, 200);
-    if (limit) answer_or_refuse(response, target.statistics(*limit), 503);
-  });
-  server.Get("/v1/reference", [&target](const httplib::Request&, httplib::Response& response) {
-    answer(response, 200, target.reference());
-  });
-  server.Get("/v1/live", [&target](const httplib::Request& request, httplib::Response& response) {
-    constexpr std::uint64_t kAny = std::numeric_limits<std::uint32_t>::max();
-    const auto run = read_number<std::uint64_t>(request, response, "run", 0, kAny, 0);
-    if (!run) return;
-    const auto row = read_number<std::uint64_t>(request, response, "row", 0, kAny, 0);
-    if (row) answer(response, 200, target.live(*run, *row));
-  });
-
-  if (inherited >= 0)
-    control->port_ = port;
-  else
-    control->port_ =
-        port == 0 ? server.bind_to_any_port(address) : (server.bind_to_port(address, port) ? port : -1);
-  if (control->port_ < 0)
-    return failure(
-        fmt::format("cannot listen on {}:{}: the address is not this machine's or another program (another "
-                    "clampd?) has the port; change [control] in the configuration",
-                    address, port));
-  if (!http.take_socket(inherited))
-    return failure(fmt::format("control API: cannot serve: {}", std::strerror(errno)));
-  control->thread_ = std::thread([&http] { http.serve(); });
-  return control;
+  if (other.empty()) return refusal(404, fmt::format("there is no {}", request.path));
+  Response refused = refusal(405, fmt::format("{} takes {} only", request.path, other));
+  refused.headers.emplace_back("Allow", other == "GET" ? "GET, HEAD" : "POST");
+  return refused;
 }
 
-ControlServer::~ControlServer() {
-  http_->end();
-  if (thread_.joinable()) thread_.join();
+ControlServer::ControlServer(std::unique_ptr<Api> api, std::unique_ptr<http::Server> server)
+    : api_(std::move(api)), server_(std::move(server)) {}
+ControlServer::~ControlServer() = default;
+
+int ControlServer::port() const {
+  return server_->port();
+}
+
+Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& target,
+                                                            const ControlSettings& settings, int inherited) {
+  std::string token;
+  if (!settings.token_file.empty()) {
+    Result<std::string> loaded = load_or_make_token(settings.token_file);
+    if (!loaded) return tl::unexpected(loaded.error());
+    token = std::move(*loaded);
+  }
+  auto api = std::make_unique<Api>(target, std::move(token), settings.origins);
+  http::Settings http;
+  http.address = settings.address;
+  http.port = settings.port;
+  http.inherited = inherited;
+  http.pools = kWorkers;
+  http.headers = kHeaders;
+  http.report = [](const std::string& what) { spdlog::error("control API: {}", what); };
+  auto server = http::Server::start(std::move(http),
+                                    [&api = *api](const Request& request) { return api.route(request); });
+  if (!server)
+    return failure(server.error().message +
+                   ": the address is not this machine's or another program (another clampd?) has the port; "
+                   "change [control] in the configuration");
+  return std::unique_ptr<ControlServer>(new ControlServer(std::move(api), std::move(*server)));
 }
 
 }  // namespace clampd::daemon

@@ -1,57 +1,69 @@
 #pragma once
 
-#include <functional>
+#include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
-#include <thread>
 
 #include "clampd/archive/store.hpp"
 #include "clampd/base/result.hpp"
+#include "clampd/station/configuration.hpp"
+#include "rt/control_core.hpp"
 #include "tools/control/messages.hpp"
+
+namespace clampd::http {
+class Server;
+}
 
 namespace clampd::daemon {
 
-/// What the control API may ask of the daemon; called from the server's threads.
+/// What the control API may ask of the daemon. stop() is called from the thread that serves all connections,
+/// so it must not wait for anything: no lock, no file. The others are called from worker threads: one for
+/// commands, one for what the station does now, two for the archive.
 class ControlTarget {
  public:
   virtual ~ControlTarget() = default;
   virtual control::StationStatus status() = 0;
-  virtual Result<std::uint64_t> start(const CheckRequest& request) = 0;
+  /// Taken when a request to start something arrives, before anything is waited for; takes no lock.
+  virtual rt::StartTicket ticket() const = 0;
+  /// `stops_seen`: StationStatus::stops as whoever asks has seen it; refused if it is another by now.
+  virtual Result<control::StartedCheck> start(const CheckRequest& request, const rt::StartTicket& ticket,
+                                              std::optional<std::uint64_t> stops_seen) = 0;
+  /// Opens a brake that stays clamped: the opening's id, which the status follows.
+  virtual Result<std::string> open(const rt::StartTicket& ticket, std::optional<std::uint64_t> stops_seen) = 0;
   virtual Result<void> next(const CheckRequest& request) = 0;
   virtual control::CheckProgress progress(bool colour) = 0;
+  /// Waits for nothing and takes no lock.
   virtual Result<void> stop() = 0;
   virtual Result<void> clear() = 0;
   virtual Result<nlohmann::ordered_json> results(const CheckFilter& filter) = 0;
   virtual Result<nlohmann::ordered_json> result(const std::string& id) = 0;
   virtual Result<nlohmann::ordered_json> run(const std::string& id, std::size_t number) = 0;
-  virtual Result<nlohmann::ordered_json> statistics(std::uint32_t limit) = 0;
+  virtual Result<nlohmann::ordered_json> statistics(const CheckFilter& filter) = 0;
   virtual nlohmann::ordered_json reference() = 0;
   virtual nlohmann::ordered_json live(std::uint64_t run, std::size_t row) = 0;
 };
 
-/// The control API of tools/control/messages.hpp over HTTP, and the screen.
+/// The control API (docs/api.md) and the screen, over HTTP.
 class ControlServer {
  public:
   /// Binds and starts to serve; or serves on `inherited`, a listening socket that is there already and stays
-  /// usable for the next one who inherits it. An empty token file: no token is asked for; one with a token in
-  /// it, that is ours and not readable by everybody, is used again, so that a restart locks no screen out.
+  /// usable for the next one who inherits it. Without a token file no token is asked for.
   /// Errors: the address is taken or not ours, the token file cannot be written.
-  static Result<std::unique_ptr<ControlServer>> start(ControlTarget& target, const std::string& address,
-                                                      int port, const std::string& token_file,
+  static Result<std::unique_ptr<ControlServer>> start(ControlTarget& target, const ControlSettings& settings,
                                                       int inherited = -1);
   ~ControlServer();
   ControlServer(const ControlServer&) = delete;
   ControlServer& operator=(const ControlServer&) = delete;
 
-  int port() const { return port_; }
+  int port() const;
 
  private:
-  struct Http;
-  ControlServer();
+  class Api;
+  ControlServer(std::unique_ptr<Api> api, std::unique_ptr<http::Server> server);
 
-  std::unique_ptr<Http> http_;
-  std::thread thread_;
-  int port_ = 0;
+  std::unique_ptr<Api> api_;
+  std::unique_ptr<http::Server> server_;
 };
 
 }  // namespace clampd::daemon

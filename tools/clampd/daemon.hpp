@@ -2,9 +2,11 @@
 
 #include <atomic>
 #include <functional>
+#include <future>
 #include <mutex>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "clampd/archive/store.hpp"
 #include "clampd/base/result.hpp"
@@ -21,6 +23,7 @@
 #include "tools/clampd/clock_watch.hpp"
 #include "tools/clampd/control_server.hpp"
 #include "tools/clampd/live_feed.hpp"
+#include "tools/records/master.hpp"
 
 namespace clampd::daemon {
 
@@ -47,7 +50,10 @@ class Daemon final : public ControlTarget {
   std::string headline() const;
 
   control::StationStatus status() override;
-  Result<std::uint64_t> start(const CheckRequest& request) override;
+  rt::StartTicket ticket() const override;
+  Result<control::StartedCheck> start(const CheckRequest& request, const rt::StartTicket& ticket,
+                                      std::optional<std::uint64_t> stops_seen) override;
+  Result<std::string> open(const rt::StartTicket& ticket, std::optional<std::uint64_t> stops_seen) override;
   Result<void> next(const CheckRequest& request) override;
   control::CheckProgress progress(bool colour) override;
   Result<void> stop() override;
@@ -55,23 +61,37 @@ class Daemon final : public ControlTarget {
   Result<nlohmann::ordered_json> results(const CheckFilter& filter) override;
   Result<nlohmann::ordered_json> result(const std::string& id) override;
   Result<nlohmann::ordered_json> run(const std::string& id, std::size_t number) override;
-  Result<nlohmann::ordered_json> statistics(std::uint32_t limit) override;
+  Result<nlohmann::ordered_json> statistics(const CheckFilter& filter) override;
   nlohmann::ordered_json reference() override;
   nlohmann::ordered_json live(std::uint64_t run, std::size_t row) override;
 
  private:
   Daemon(const assembly::PreparedStation& station, can::FrameBus& bus, CheckStore& store, gpio::Panel* panel,
          can::SocketCanBus* socket, assembly::SimulatedBench* bench);
+  /// What the disk is asked now and then, in its thread.
+  struct Upkeep {
+    std::optional<MasterReport> master;  ///< nothing: not looked at
+    std::vector<assembly::ChannelReport> publishing;
+  };
+
   void pump();
+  void keep(CheckRecord record);
   void report_state_changes();
+  void watch_clamping();
   void serve_panel();
   void look_after_records();
-  Result<std::uint64_t> begin(const CheckRequest& request);
+  Upkeep upkeep(bool thorough, std::int64_t now_utc_ns);
+  MasterReport master_now(std::int64_t now_utc_ns);
+  void judge_master(CheckRecord& record);
+  Result<CheckStore> archive() const;
+  Result<void> may_move() const;
+  Result<control::StartedCheck> begin_pressed(const gpio::StartPress::Press& press);
+  Result<control::StartedCheck> begin(const CheckRequest& request, const rt::StartTicket& ticket);
   std::string fault_text(FaultCause fault) const;
   void reopen_bus_if_gone();
 
   const assembly::PreparedStation& station_;
-  CheckStore& store_;
+  CheckStore& store_;  ///< for the conductor's disk thread alone
   gpio::Panel* panel_;
   can::SocketCanBus* socket_;  ///< null: on a simulated bench
   can::CanBrake port_;
@@ -81,8 +101,9 @@ class Daemon final : public ControlTarget {
 
   LiveFeed live_;
 
-  std::mutex mutex_;  ///< guards all below, and store_
-  assembly::CheckConductor conductor_;
+  assembly::CheckJournal journal_;
+  std::mutex mutex_;  ///< guards all below; nobody who has it waits for the disk
+  bool serving_ = false;
   std::uint64_t check_number_ = 0;
   std::optional<CheckRecord> last_record_;
   std::optional<CheckRequest> next_;  ///< what the start button checks
@@ -90,9 +111,18 @@ class Daemon final : public ControlTarget {
   std::string clock_;                ///< that it was set since the last check began
   std::string notice_;               ///< why the start button did nothing
   std::int64_t records_due_ns_ = 0;  ///< when to look after the records again, monotonic
-  std::string master_;               ///< what the master brake asks for; empty: nothing
+  std::int64_t outboxes_due_ns_ = 0;
+  std::optional<std::string> master_;  ///< what the master brake asks for; nothing: not known yet
+  std::vector<assembly::ChannelReport> channels_;
   StationState reported_state_ = StationState::Init;
+  std::uint64_t reported_stops_ = 0;
+  std::string reported_opening_;
+  double force_zero_N_ = 0.0;  ///< as the last tare found it
+  bool clamped_ = false;
   std::optional<assembly::Publishing> publishing_;
+  std::future<Upkeep> upkeep_;
+  std::future<Result<std::optional<CheckRecord>>> recovery_;
+  assembly::CheckConductor conductor_;  ///< last: its disk thread uses what is above
 };
 
 }  // namespace clampd::daemon

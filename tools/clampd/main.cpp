@@ -40,7 +40,7 @@ int miss(const clampd::Error& error) {
 
 /// On a simulated brake the loop's clock is a count of ticks, which asks no real time of the machine.
 void simulate_the_brake(clampd::StationConfiguration& configuration) {
-  configuration.simulated_brake = true;
+  simulate_brake(configuration);
   configuration.can.interface = "simulated";
   configuration.realtime = {0, -1, false};
   configuration.gpio = {};
@@ -52,7 +52,7 @@ int serve(clampd::daemon::Daemon& daemon, const clampd::StationConfiguration& co
   const Result<int> inherited = daemon::ServiceManager::inherited_socket(api.address, api.port);
   if (!inherited) return refuse(inherited.error());
   if (const Result<void> started = daemon.start(); !started) return refuse(started.error());
-  const auto server = daemon::ControlServer::start(daemon, api.address, api.port, api.token_file, *inherited);
+  const auto server = daemon::ControlServer::start(daemon, api, *inherited);
   if (!server) return refuse(server.error());
   spdlog::info("clampd {} on {}, control API on {}:{}", kVersion, configuration.can.interface,
                configuration.control.address, (*server)->port());

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -9,38 +11,21 @@
 #include "clampd/base/result.hpp"
 #include "clampd/station/session.hpp"
 
-namespace clampd {
-
-NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(CheckRequest, serial, repeats, operator_name, part_number,
-                                                batch)
-
-}  // namespace clampd
+namespace clampd::http {
+struct Call;
+}
 
 namespace clampd::control {
 
-// What goes over the control API (HTTP on the loopback interface, JSON bodies):
-//   GET  /v1/status          StationStatus
-//   POST /v1/checks          CheckRequest -> {"check": number}; 409 while the station is not IDLE
-//   POST /v1/next            CheckRequest that the panel's start button starts
-//   GET  /v1/checks/current  CheckProgress; ?colour=1 for a table with ANSI colours
-//   POST /v1/stop            operator stop
-//   POST /v1/clear           clears a fault whose cause is gone; 409 with the reason if it is not
-//   GET  /v1/results         query: serial, part_number, batch, operator, verdict, since, until, limit
-//   GET  /v1/results/{id}    clampd.check/1
-//   GET  /v1/results/{id}/runs/{number}  readings of one run, number from 0
-//   GET  /v1/statistics      clampd.statistics/1; query: limit, of the newest checks
-//   GET  /v1/reference       what every run should follow: period_s, force_N, velocity_rad_s, torque_Nm
-//   GET  /v1/live            the run under way or the last one; query: run, row to go on from there
-//   GET  /v1/session         {"token_needed", "may_command"}: what whoever asks may do
-//   GET  /                   the screen, for a browser
-// Whatever moves or stops the brake needs "Authorization: Bearer TOKEN"; the daemon writes the token into the
-// file named in its configuration when it starts, unless one of an earlier start is there. The screen gets it
-// from the fragment of the address that `clampctl screen` prints, and keeps it in its tab's session storage:
-// other than a cookie, that is not sent by itself, so that no other page can use it, nor to other ports of
-// this host. Every request must name this host (an IP address, localhost or the host's name), so that a page
-// of another site cannot reach the station through a name that it makes point here; pages of other origins
-// are refused, and so are bodies other than JSON, in chunks, or larger than 64 KiB, and requests that take
-// longer than 2 s.
+// What goes over the control API, HTTP with JSON bodies: docs/api.md says it route by route.
+
+/// A check request as the API takes it; what is empty or 0 is left out, so that the station's own holds.
+nlohmann::ordered_json check_request_json(const CheckRequest& request);
+
+/// Reads one strictly: an unknown key, a value of another type or out of range is an error that names it;
+/// what is left out stays empty or 0. Blanks around texts are taken off, since a scanner or a keyboard adds
+/// them.
+Result<CheckRequest> parse_check_request(const std::string& body);
 
 /// A line of the operator's panel.
 struct PanelLine {
@@ -77,7 +62,9 @@ struct StationStatus {
   std::string serial;  ///< of the check in progress or the last one
   std::string last_verdict;
   std::uint64_t check = 0;  ///< its number since the daemon started; 0: there was none
+  std::string id;           ///< of its record, unique; empty: there was none
   bool judging = false;     ///< the brake is done, the verdict is being made
+  double cause_searched = 0.0;  ///< share of the search for a misfit's cause that is done; 0: none has begun
   std::uint64_t ticks = 0;
   std::uint64_t skipped = 0;
   double lateness_avg_us = 0.0;
@@ -85,6 +72,14 @@ struct StationStatus {
   double force_N = 0.0;
   double velocity_rad_s = 0.0;
   double torque_Nm = 0.0;
+  bool clamped = false;     ///< force stands on the brake though nothing drives it: `clampctl open`
+  double clamped_N = 0.0;   ///< that force
+  std::string open_id;      ///< the opening in progress or the last one; empty: there was none
+  bool opening = false;     ///< it is in progress
+  std::string open_result;  ///< what came of it: OPEN, ERROR, TIMEOUT or ABORTED; empty until then
+  std::string open_reason;
+  std::uint64_t stops = 0;        ///< operator stops since the daemon started
+  std::uint64_t stops_taken = 0;  ///< those of them that have taken effect
   std::string interface;
   std::string link;
   double bus_load = 0.0;
@@ -104,12 +99,14 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version,
                                                 lateness_max_us, force_N, velocity_rad_s, torque_Nm,
                                                 interface, link, bus_load, simulated, realtime, next_serial,
                                                 notice, panel, master, storage, clock, check, judging,
-                                                publishing)
+                                                publishing, cause_searched, id, clamped, clamped_N, open_id, opening,
+                                                open_result, open_reason, stops, stops_taken)
 
 /// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the
 /// same as a technician reads it.
 struct CheckProgress {
   std::uint64_t check = 0;
+  std::string id;  ///< of the record
   bool finished = false;
   std::string phase;
   std::uint32_t repeat = 0;
@@ -118,21 +115,35 @@ struct CheckProgress {
   std::string table;
 };
 
+/// A check that was started. Its number begins at 1 with each start of the daemon, its id never comes again.
+struct StartedCheck {
+  std::uint64_t check = 0;
+  std::string id;
+};
+nlohmann::ordered_json progress_json(const CheckProgress& progress);
+
 /// The station's half of the conversation, from a program that talks to the daemon.
 class Client {
  public:
   Client(std::string address, int port, std::string token_file);
 
-  Result<StationStatus> status() const;
-  Result<std::uint64_t> start(const CheckRequest& request) const;
+  /// Errors after that time without an answer.
+  Result<StationStatus> status(std::chrono::milliseconds within = std::chrono::seconds(5)) const;
+  /// `stops_seen`: of a status that was read before; the start is refused if another stop came since.
+  Result<StartedCheck> start(const CheckRequest& request,
+                             std::optional<std::uint64_t> stops_seen = std::nullopt) const;
+  /// Opens a brake that stays clamped: the opening's id, which the status follows.
+  Result<std::string> open() const;
   Result<void> next(const CheckRequest& request) const;
   Result<CheckProgress> progress(bool colour) const;
   Result<void> stop() const;
   Result<void> clear() const;
 
  private:
-  Result<nlohmann::ordered_json> exchange(const std::string& method, const std::string& path,
-                                          const nlohmann::ordered_json& body) const;
+  Result<std::string> token() const;
+  Result<nlohmann::ordered_json> get(const std::string& path) const;
+  Result<nlohmann::ordered_json> post(const std::string& path, const nlohmann::ordered_json& body) const;
+  Result<nlohmann::ordered_json> exchange(http::Call call) const;
 
   std::string address_;
   int port_;

@@ -27,6 +27,7 @@ export function shortNumber(value, digits = 4) {
   return String(Number(value.toPrecision(digits)) + 0);
 }
 
+/** From the lowest to the highest of all lists, with a margin. */
 export function rangeOf(lists) {
   let low = Infinity;
   let high = -Infinity;
@@ -79,8 +80,8 @@ export function lineChart(svg, { x, y, title, bottom, xTitle, series }) {
   for (const line of series) shape(svg, 'path', { class: line.kind, d: path(line.x, line.y, px, py) });
 }
 
-/** A control chart; marks the points that a rule names. */
-export function controlChart(svg, { centre, lower, upper, points, signals }, xTitle) {
+/** A control chart; marks the points that a rule names. `specification`: limits of another kind, where they are in sight. */
+export function controlChart(svg, { centre, lower, upper, points, signals, specification = [] }, xTitle) {
   const y = rangeOf([points, [centre, lower, upper].filter((value) => value !== null)]);
   const xs = points.map((_, i) => i + 1);
   const each = Math.ceil(points.length / 12);
@@ -92,11 +93,31 @@ export function controlChart(svg, { centre, lower, upper, points, signals }, xTi
   rule(centre, 'centre');
   rule(lower, 'limit');
   rule(upper, 'limit');
+  for (const limit of specification) if (limit > y[0] && limit < y[1]) rule(limit, 'specification');
   shape(svg, 'path', { class: 'measured', d: path(xs, points, px, py) });
   const bad = new Set(signals.map((signal) => signal.at));
   points.forEach((value, i) => {
     if (value !== null) shape(svg, 'circle', { class: bad.has(i) ? 'point bad' : 'point', cx: px(i + 1), cy: py(value), r: bad.has(i) ? 5 : 3.2 });
   });
+}
+
+/** How often which values came, with the specification's limits, which are always in sight. */
+export function distribution(svg, values, specification) {
+  const known = values.filter(Number.isFinite);
+  const x = rangeOf([known, specification]);
+  const slots = Math.min(40, Math.max(12, Math.ceil(3 * Math.sqrt(known.length))));
+  const counts = new Array(slots).fill(0);
+  for (const value of known) ++counts[Math.min(slots - 1, Math.floor(((value - x[0]) / (x[1] - x[0])) * slots))];
+  const { px, py, area } = frame(svg, { x, y: [0, Math.max(1, ...counts) * 1.1], yTicks: false, bottom: true });
+  counts.forEach((count, slot) => {
+    if (count === 0) return;
+    const at = (edge) => px(x[0] + (edge / slots) * (x[1] - x[0]));
+    shape(svg, 'rect', { class: 'bar', x: at(slot) + 1, width: at(slot + 1) - at(slot) - 2, y: py(count), height: area.bottom - py(count) });
+  });
+  for (const limit of specification)
+    if (Number.isFinite(limit)) shape(svg, 'line', { class: 'specification', x1: px(limit), x2: px(limit), y1: area.top, y2: area.bottom });
+  shape(svg, 'text', { x: area.left - 6, y: area.top + 12, 'text-anchor': 'end' }, 'brakes');
+  shape(svg, 'text', { x: area.left - 6, y: area.top + 26, 'text-anchor': 'end' }, String(Math.max(...counts)));
 }
 
 /** How often the loop woke how late: powers of two on both axes' scales. bins: [[microseconds, ticks]]. */

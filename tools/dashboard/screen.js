@@ -1,79 +1,41 @@
-// The station's screen. Talks to the control API of the daemon that served it (tools/control/messages.hpp) and to
-// nobody else. Texts reach the page as text nodes only: a serial number is never markup.
+// The station's screen: what the station does, and what the operator may ask of it. History and statistics are beside.
 
-import { controlChart, histogram, limitBar, lineChart, rangeOf, shortNumber } from '/charts.js';
-
-const $ = (id) => document.getElementById(id);
-
-function element(tag, properties = {}, ...children) {
-  const node = document.createElement(tag);
-  Object.assign(node, properties);
-  node.append(...children);
-  return node;
-}
-
-/** Without the minus that a rounded zero would keep. */
-const fixed = (value, digits) => (Number(value.toFixed(digits)) + 0).toFixed(digits);
-
-const unitText = (unit) => unit.replaceAll('^2', '²').replaceAll('^3', '³');
-
-const setText = (node, text) => {
-  if (node.textContent !== text) node.textContent = text;
-};
-
-// ---------------------------------------------------------------------------------------------- the daemon
-
-const kTokenKey = 'clampd.token';
-const fromAddress = new URLSearchParams(location.hash.slice(1)).get('token');
-if (fromAddress) {
-  sessionStorage.setItem(kTokenKey, fromAddress);
-  history.replaceState(null, '', location.pathname);  // nobody shall read it off the address line
-}
-
-/** The answer's document. Throws an Error with the station's words, `status` 0 where no daemon answered. */
-async function ask(path, body) {
-  const headers = {};
-  const token = sessionStorage.getItem(kTokenKey);
-  if (token) headers.Authorization = `Bearer ${token}`;
-  if (body !== undefined) headers['Content-Type'] = 'application/json';
-  let response;
-  let answer;
-  try {
-    response = await fetch(path, { method: body === undefined ? 'GET' : 'POST', headers, body: body && JSON.stringify(body) });
-    answer = await response.json();
-  } catch {
-    throw Object.assign(new Error('no answer from the station’s daemon'), { status: 0 });
-  }
-  if (!response.ok) throw Object.assign(new Error(answer.error ?? `status ${response.status}`), { status: response.status });
-  return answer;
-}
+import { ask, keepToken, kPatience_ms } from '/api.js';
+import { histogram, shortNumber } from '/charts.js';
+import { listHistory } from '/history.js';
+import { $, element, fixed, setText } from '/page.js';
+import { drawRun, kChannels, showParameters } from '/results.js';
+import { drawStatistics, showStatistics } from '/statistics.js';
+import { actionText, causeText, kParameterNames, reasonText } from '/words.js';
 
 async function checkSession() {
   const session = await ask('/v1/session');
   $('unlock').hidden = session.may_command;
   $('entry').hidden = !session.may_command;
-  if (session.may_command && !view('history') && !view('statistics')) $('serial').focus();
+  if (session.may_command && view('station')) $('serial').focus();
 }
 
 // ---------------------------------------------------------------------------------------------- the station
 
-let status = null;   // the last status; null: the daemon does not answer
-let record = null;   // the last check's clampd.check/1
-let starting = false;
-let expected = 0;    // number of the check that was started here
+let status = null;    // the last status; null: the station does not answer
+let record = null;    // the last check's clampd.check/1
+let reference = null;
+let pending = null;   // the check asked for, until a status that was asked for after it was granted
+let judgingSince = 0;
 
-/** A check is under way, or about to be: one that has begun without a verdict moves, even before its first state. */
+/** The drive is on, or is about to be. */
 function moving() {
-  if (starting || status === null) return starting;
-  return expected > status.check || ['ARMED', 'RUNNING', 'RELEASING'].includes(status.state) ||
-         (status.state === 'IDLE' && status.check > 0 && status.last_verdict === '' && !status.judging);
+  if (pending !== null || status === null) return pending !== null;
+  return status.opening || !['INIT', 'IDLE', 'FAULT'].includes(status.state) || (status.state === 'IDLE' && isBegun());
 }
+/** A check has begun that has no verdict yet, even before its first state. */
+const isBegun = () => status.check > 0 && status.last_verdict === '' && !status.judging;
+const busy = () => moving() || (status?.judging ?? false);
 
-const kParameterNames = ['k1', 'k2', 'TC', 'Ts0', 'Tv', 'mus', 'ws'];
 const kStatePills = { IDLE: 'good', FAULT: 'bad', ARMED: 'busy', RUNNING: 'busy', RELEASING: 'busy' };
 const kPhases = { tare: 'taring', approach: 'closing', settle: 'settling', trajectory: 'running', return: 'returning', release: 'opening' };
 
-function show(kind, word, serial, reason, cause = '', marginal = false) {
+function show(kind, word, serial = '', reason = '', { cause = '', action = '', marginal = false } = {}) {
   const box = $('verdict');
   box.dataset.kind = kind;
   box.dataset.length = word.length;
@@ -81,45 +43,64 @@ function show(kind, word, serial, reason, cause = '', marginal = false) {
   setText($('verdict-serial'), serial);
   setText($('verdict-reason'), reason);
   setText($('verdict-cause'), cause);
+  setText($('verdict-action'), action);
   $('verdict-cause').hidden = !cause;
+  $('verdict-action').hidden = !action;
   $('verdict-marginal').hidden = !marginal;
   document.title = `${word} ${serial} – ${status?.station ?? 'clampd'}`;
 }
 
-function causeText(cause) {
-  if (!cause) return '';
-  if (cause.effect) return `Cause: ${cause.effect}${cause.location ? ` (${cause.location})` : ''}`;
-  if (cause.rivals.length > 0) return `Cause: one of ${cause.rivals[0].join(', ')}`;
-  return cause.location ? `Cause: unknown, in the ${cause.location}` : '';
+/** A bar that is full at 1; without a share it only says that something goes on. */
+function showProgress(share) {
+  $('progress').hidden = false;
+  if (share === null) $('progress').removeAttribute('value');
+  else $('progress').value = share;
+}
+
+function showMotion() {
+  if (pending) {
+    showProgress(null);
+    return show('running', 'STARTING', pending.serial, 'the station was asked to begin');
+  }
+  if (status.opening) {
+    showProgress(null);
+    return show('running', 'OPENING', '', 'the brake is being opened');
+  }
+  const { repeat, repeats, phase, serial } = status;
+  showProgress(repeats > 0 ? repeat / repeats : null);
+  const run = repeats > 0 ? `run ${Math.min(repeat + 1, repeats)} of ${repeats}` : '';
+  show('running', 'RUNNING', serial, [run, kPhases[phase] ?? ''].filter(Boolean).join(', '));
+}
+
+function showJudging() {
+  judgingSince ||= performance.now();
+  const seconds = Math.floor((performance.now() - judgingSince) / 1000);
+  const searched = status.cause_searched ?? 0;
+  showProgress(searched > 0 ? searched : null);
+  const what = searched > 0 ? 'the cause is being searched for' : 'the verdict is being made';
+  show('running', 'JUDGING', status.serial, `the brake is done; ${what}${seconds > 0 ? `, ${seconds} s` : ''}`);
 }
 
 function showVerdict() {
-  const busy = moving() || status.judging;
-  $('progress').hidden = !busy;
-  if (busy) {
-    const repeats = status.repeats;
-    $('progress').value = status.judging ? 1 : repeats > 0 ? status.repeat / repeats : 0;
-    const run = repeats > 0 ? `run ${Math.min(status.repeat + 1, repeats)} of ${repeats}` : '';
-    show('running', status.judging ? 'JUDGING' : 'RUNNING', status.serial,
-         status.judging ? 'the brake is done; the verdict is being made' : [run, kPhases[status.phase] ?? ''].filter(Boolean).join(', '));
-  } else if (record) {
-    show(record.verdict, record.verdict, record.serial, record.reason, causeText(record.cause), record.marginal);
-  } else if (status.state === 'FAULT') {
-    show('ERROR', 'FAULT', '', 'see below');
-  } else if (status.state === 'IDLE') {
-    show('none', 'READY', status.next_serial, status.next_serial ? 'press the start button' : 'scan or type a serial number, then Enter');
-  } else {
-    show('none', status.state, '', 'waiting for the brake');
-  }
+  if (!status.judging) judgingSince = 0;
+  $('progress').hidden = true;
+  if (moving()) showMotion();
+  else if (status.judging) showJudging();
+  else if (record) {
+    show(record.verdict, record.verdict, record.serial, reasonText(record.reason),
+         { cause: causeText(record.cause), action: actionText(record), marginal: record.marginal });
+  } else if (status.last_verdict !== '') show('none', '…', status.serial, 'the verdict is being fetched');
+  else if (status.state === 'FAULT') show('ERROR', 'FAULT', '', 'see below');
+  else if (status.state === 'IDLE') show('none', 'READY', status.next_serial, status.next_serial ? 'press the start button' : 'scan or type a serial number, then Enter');
+  else show('none', status.state, '', 'waiting for the brake');
 }
 
 function showInterlocks() {
-  const chips = status.panel.map((line) => {
+  $('interlocks').replaceChildren(...status.panel.map((line) => {
     const bad = line.state === 'lost' || (line.role === 'emergency stop' && line.state !== 'closed');
     const open = line.role === 'fixture closed' && line.state === 'open';
     return element('span', { className: `pill ${bad ? 'bad' : open ? 'warn' : ''}`, title: line.line, textContent: `${line.role}: ${line.state}` });
-  });
-  $('interlocks').replaceChildren(...chips);
+  }));
 }
 
 function publishingTrouble(channel) {
@@ -128,63 +109,78 @@ function publishingTrouble(channel) {
   return `${channel.channel} (${channel.where}): ${channel.error || 'not connected.'}${waiting}`;
 }
 
+function showNotices(texts) {
+  $('notices').replaceChildren(...texts.filter(Boolean).map((text) => element('div', { textContent: text })));
+}
+
+/** More than an open brake's sensor reads, whatever its offset. */
+const kStanding_N = 1000;
+
+/** Force that stands though nothing moves: hands stay out, and the brake does not come out of its fixture. */
+function showClamped() {
+  const stands = !moving() && (status.clamped ?? status.force_N > kStanding_N);
+  $('clamped').hidden = !stands;
+  if (stands) setText($('clamped-force'), `${fixed((status.clamped_N ?? status.force_N) / 1000, 1)} kN`);
+}
+
+function showFault() {
+  const fault = status.state === 'FAULT';
+  if (fault && $('fault').hidden && $('serial').value === '') $('serial').blur();  // so that "c" clears
+  $('fault').hidden = !fault;
+  if (!fault) return;
+  setText($('fault-name'), status.fault);
+  setText($('fault-text'), `${status.fault_text} ${status.clearable ? '' : 'Its cause is still there.'}`);
+  $('clear').disabled = !status.clearable;
+}
+
 function showStatus() {
+  document.body.classList.remove('stale');
   setText($('station'), status.station);
   setText($('state'), status.state);
   $('state').className = `pill ${kStatePills[status.state] ?? 'warn'}`;
   $('simulated').hidden = !status.simulated;
   showInterlocks();
   setText($('link'), `${status.interface} ${status.link} · ${fixed(status.force_N / 1000, 1)} kN · ${fixed(status.velocity_rad_s, 0)} rad/s · ${fixed(status.torque_Nm, 2)} N m`);
-  $('notices').replaceChildren(...[status.storage, status.clock, status.notice, status.master, ...status.publishing.map(publishingTrouble)].filter(Boolean).map((text) => element('div', { textContent: text })));
-  const fault = status.state === 'FAULT';
-  $('fault').hidden = !fault;
-  if (fault) {
-    setText($('fault-name'), status.fault);
-    setText($('fault-text'), `${status.fault_text} ${status.clearable ? '' : 'Its cause is still there.'}`);
-    $('clear').disabled = !status.clearable;
-  }
-  $('serial').disabled = fault;
+  showNotices([status.storage, status.clock, status.notice, status.master, ...status.publishing.map(publishingTrouble)]);
+  showClamped();
+  showFault();
   // Not `disabled`: Enter would then do nothing, without a word.
-  $('start').setAttribute('aria-disabled', status.state !== 'IDLE' || moving() || status.judging);
-  $('verdict').classList.remove('stale');
+  $('start').setAttribute('aria-disabled', status.state !== 'IDLE' || busy());
+  showWhatWasDone();
   showVerdict();
 }
 
-function showOffline() {
-  setText($('state'), 'NO DAEMON');
+/** A command is done when the station's state says so, not when it was taken. */
+function showWhatWasDone() {
+  if (moving() || awaited === null || !awaited.isDone()) return;
+  say(awaited.words());
+  awaited = null;
+}
+
+let silentSince = 0;
+
+/** Nothing of what was known may look as if it still were: least of all a verdict. */
+function showSilence(late) {
+  if (silentSince === 0 && !$('message').classList.contains('alarm')) say('');
+  silentSince ||= performance.now();
+  const seconds = Math.floor((performance.now() - silentSince) / 1000);
+  const word = late ? 'NO ANSWER' : 'NO DAEMON';
+  document.body.classList.add('stale');
+  setText($('state'), word);
   $('state').className = 'pill bad';
-  $('notices').replaceChildren(element('div', { textContent: 'The station’s daemon does not answer: nothing here is up to date. `systemctl status clampd` says why.' }));
-  $('verdict').classList.add('stale');
+  setText($('link'), '');
+  for (const id of ['fault', 'clamped', 'progress']) $(id).hidden = true;
+  $('interlocks').replaceChildren();
+  showNotices([late ? 'The station does not answer: nothing here is up to date.'
+                    : 'The station’s daemon does not answer: nothing here is up to date. `systemctl status clampd` says why.']);
+  show('silent', word, '', `What the brake does is not known${seconds > 0 ? `, for ${seconds} s now` : ''}. Use the emergency stop if it moves. This page goes on asking.`);
   $('start').setAttribute('aria-disabled', true);
 }
 
 // ---------------------------------------------------------------------------------------------- runs
 
-const kChannels = [
-  { key: 'force_N', svg: 'force', title: 'clamp force, kN', scale: 1e-3 },
-  { key: 'velocity_rad_s', svg: 'velocity', title: 'motor speed, rad/s', scale: 1 },
-  { key: 'torque_Nm', svg: 'torque', title: 'motor torque, N m', scale: 1 },
-];
-
-let reference = null;
-let live = { run: 0, repeat: 0, force_N: [], velocity_rad_s: [], torque_Nm: [] };
-
-/** Three charts, named PREFIX-force and so on, of a run against the reference. */
-function drawRun(prefix, run) {
-  const ms = (list) => list.map((_, row) => row * reference.period_s * 1e3);
-  kChannels.forEach((channel, i) => {
-    const scaled = (list) => list.map((value) => value * channel.scale);
-    const measured = scaled(run[channel.key]);
-    const wanted = scaled(reference[channel.key]);
-    const last = i === kChannels.length - 1;
-    lineChart($(`${prefix}-${channel.svg}`), {
-      x: [0, reference.force_N.length * reference.period_s * 1e3],
-      y: rangeOf([measured, wanted]),
-      title: channel.title, bottom: last, xTitle: last ? 'ms' : '',
-      series: [{ x: ms(wanted), y: wanted, kind: 'reference' }, { x: ms(measured), y: measured, kind: 'measured' }],
-    });
-  });
-}
+const kNoRun = { run: 0, repeat: 0, force_N: [], velocity_rad_s: [], torque_Nm: [] };
+let live = structuredClone(kNoRun);
 
 async function followRun() {
   const more = await ask(`/v1/live?run=${live.run}&row=${live.force_N.length}`);
@@ -192,26 +188,7 @@ async function followRun() {
   if (more.run !== live.run || more.from === 0) live = more;
   else for (const { key } of kChannels) live[key].push(...more[key]);
   setText($('run-name'), live.run > 0 ? `${live.repeat + 1}` : '');
-  drawRun('live', live);
-}
-
-// ---------------------------------------------------------------------------------------------- results
-
-function showParameters(box, parameters) {
-  const cells = [];
-  for (const parameter of parameters) {
-    const bar = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-    bar.setAttribute('class', parameter.verdict);
-    const digits = parameter.sd > 0 ? Math.min(6, Math.max(2, Math.ceil(Math.log10(Math.abs(parameter.value) / parameter.sd)) + 1)) : 4;
-    const known = parameter.value !== null && parameter.value !== undefined;
-    cells.push(element('b', { textContent: parameter.name }), bar,
-               element('span', { className: 'value', textContent: known ? `${shortNumber(parameter.value, digits)} ± ${shortNumber(parameter.sd, 2)} ${unitText(parameter.unit)}` : '' }),
-               element('span', { className: `word ${parameter.verdict}`, textContent: parameter.verdict === 'fail' ? 'FAIL' : parameter.verdict }));
-  }
-  box.replaceChildren(...cells);
-  box.querySelectorAll('svg').forEach((bar, i) => {
-    if (parameters[i].upper > parameters[i].lower) limitBar(bar, parameters[i]);
-  });
+  drawRun('live', live, reference);
 }
 
 function showRecord() {
@@ -252,102 +229,206 @@ $('sound').addEventListener('click', () => {
 
 // ---------------------------------------------------------------------------------------------- following
 
-let seen = { check: null, judged: null };
+let seen = '';  // of which check, and with which verdict, `record` is; empty: of none yet
 
 /** The record of the last check, once there is one: of this or, where the daemon has made none yet, of none. */
 async function followRecord() {
-  const judged = status.last_verdict;  // changes once more where a result was saved late
-  if (seen.check === status.check && seen.judged === judged) return;
-  const progress = judged !== '' ? await ask('/v1/checks/current') : null;
-  const news = seen.check !== null && judged !== '';
-  seen = { check: status.check, judged };
+  // The verdict changes once more where a result was saved late; numbers begin anew with the daemon.
+  const now = [status.id ?? status.check, status.serial, status.last_verdict].join('\n');
+  if (seen === now) return;
+  const judged = status.last_verdict !== '';
+  const progress = judged ? await ask('/v1/checks/current') : null;
+  const news = seen !== '' && judged;
+  if (progress && (progress.check !== status.check || progress.id !== status.id)) {  // another one has begun meanwhile
+    record = null;
+    return;
+  }
+  seen = now;
   record = progress?.record ?? null;
   showRecord();
   if (news && record) sound(record.verdict);
 }
 
+let timer = null;
+let following = false;
+
 async function follow() {
-  const wasOffline = status === null;
+  if (following) return;
+  following = true;
+  clearTimeout(timer);
+  const wasSilent = status === null;
+  const granted = pending?.granted ?? false;
   try {
-    status = await ask('/v1/status');
-    if (wasOffline) {
+    const answer = await ask('/v1/status');
+    if (granted) pending = null;
+    if (wasSilent) {
       reference = await ask('/v1/reference');
-      live = { run: 0, repeat: 0, force_N: [], velocity_rad_s: [], torque_Nm: [] };
-      seen = { check: null, judged: null };
+      live = structuredClone(kNoRun);
+      seen = '';
       await checkSession();
     }
+    status = answer;
+    silentSince = 0;
     await followRecord();
     showStatus();
     await followRun();
-    if (wasOffline) drawRun('live', live);
+    if (wasSilent) drawRun('live', live, reference);
   } catch (error) {
     status = null;
-    expected = 0;
-    showOffline();
+    if (granted) pending = null;
+    showSilence(error.late);
     if (error.status !== 0) console.error(error);
   }
-  setTimeout(follow, status === null ? 1000 : moving() ? 80 : 250);
+  following = false;
+  lastRound_ms = performance.now();
+  timer = setTimeout(follow, status === null ? 500 : busy() ? 80 : 250);
 }
 
-// ---------------------------------------------------------------------------------------------- commands
+// A page that was out of sight was not kept up to date: its timers stand still.
+let lastRound_ms = 0;
+document.addEventListener('visibilitychange', () => {
+  if (document.hidden || performance.now() - lastRound_ms < kPatience_ms) return;
+  showSilence(true);
+  follow();
+});
+
+// ---------------------------------------------------------------------------------------------- starting
 
 function say(text) {
   setText($('message'), text);
 }
 
-/** The answer; null, and the station's words on the screen, if it refuses. */
-async function command(path, body, done) {
+// What stands in the field was begun while another brake was being checked ('busy'), in another view ('elsewhere') or
+// as it should be (null): only the last is started by the Enter that ends it.
+let entered = null;
+let fieldBefore = '';
+
+function setField(text, from = null) {
+  $('serial').value = fieldBefore = text;
+  entered = text === '' ? null : from;
+}
+
+$('serial').addEventListener('input', () => {
+  const text = $('serial').value;
+  if (text === '') entered = null;
+  else if (fieldBefore === '' && entered === null && busy()) entered = 'busy';
+  fieldBefore = text;
+});
+
+let aside = '';  // the serial number that was not started
+
+/** What was not started leaves the field, so that the next Enter starts nothing that nobody asked for then. */
+function setAside(serial, why) {
+  aside = serial;
+  setText($('aside-text'), `${serial} was not started: ${why}`);
+  $('aside').hidden = false;
+  setField('');
+  if (status?.state === 'FAULT') $('serial').blur();
+  else $('serial').focus();
+}
+
+function dropAside() {
+  aside = '';
+  $('aside').hidden = true;
+  $('serial').focus();
+}
+
+$('aside-use').addEventListener('click', () => {
+  setField(aside, busy() ? 'busy' : null);
+  dropAside();
+});
+$('aside-drop').addEventListener('click', dropAside);
+
+/** Why this serial number cannot be started now; empty: it can. */
+function objection() {
+  if (status === null) return 'the station does not answer.';
+  if (status.judging) return `the verdict on ${status.serial} is being made.`;
+  if (moving()) return `a check of ${pending?.serial ?? status.serial} is under way.`;
+  if (status.state === 'FAULT') return `the station is in FAULT (${status.fault}). Clear it first.`;
+  if (entered === 'busy') return 'it was entered while another brake was being checked. Is it the one in the fixture?';
+  return '';
+}
+
+/** What is asked for on this picture of the station is void if somebody stops it meanwhile. */
+const stopsSeen = () => (status?.stops === undefined ? '' : `?stops_seen=${status.stops}`);
+
+async function start(serial) {
+  const why = objection();
+  if (why) return setAside(serial, why);
+  if (entered === 'elsewhere') {
+    entered = null;
+    return say(`${serial} was scanned outside of the station’s view. Enter starts it.`);
+  }
+  dropAside();
+  say('');
+  awaited = null;
+  pending = { serial, granted: false };
+  setField('');
+  showStatus();
   try {
-    const answer = await ask(path, body);
-    say(done);
-    return answer;
+    await ask(`/v1/checks${stopsSeen()}`, { body: { serial, operator_name: $('operator').value.trim() } });
+    pending.granted = true;
   } catch (error) {
-    say(error.message);
+    pending = null;
+    setAside(serial, error.late ? 'the station has not answered; what it made of it shows here as soon as it does.' : error.message);
     if (error.status === 401) checkSession().catch(() => {});
-    return null;
+    if (status) showStatus();
   }
 }
 
 $('operator').value = sessionStorage.getItem('clampd.operator') ?? '';
 $('operator').addEventListener('change', () => sessionStorage.setItem('clampd.operator', $('operator').value));
 
-$('entry').addEventListener('submit', async (event) => {
+$('entry').addEventListener('submit', (event) => {
   event.preventDefault();
   const serial = $('serial').value.trim();
-  if (!serial) {
-    $('serial').focus();
-    return say('Scan or type the serial number first.');
-  }
-  if (moving() || status?.judging) return say(`${serial} was not started: a check is under way.`);
-  starting = true;
-  const started = await command('/v1/checks', { serial, operator_name: $('operator').value.trim() }, '');
-  starting = false;
-  if (started) {
-    expected = started.check;
-    $('serial').value = '';
-  } else {
-    $('serial').select();
-  }
+  if (serial) return start(serial);
   $('serial').focus();
+  say('Scan or type the serial number first.');
 });
 
-const stop = () => command('/v1/stop', {}, 'Stopped.');
-const clear = () => command('/v1/clear', {}, 'Cleared.').then(() => $('serial').focus());
+// ---------------------------------------------------------------------------------------------- commands
+
+let awaited = null;  // what a command is to bring about: {words, isDone}
+
+/** Whether the station took it; its words if it did not. */
+async function command(path, doing, words, isDone) {
+  $('message').classList.remove('alarm');
+  say(doing);
+  try {
+    const answer = await ask(path, { body: {}, within_ms: 2 * kPatience_ms });
+    awaited = { words, isDone: () => isDone(answer) };
+    return true;
+  } catch (error) {
+    say(error.message);
+    if (error.status === 401) checkSession().catch(() => {});
+    return false;
+  }
+}
+
+async function stop() {
+  if (await command('/v1/stop', 'Stopping …', () => 'Stopped.', () => !(status.stops_taken < status.stops))) return;
+  $('message').classList.add('alarm');
+  say(`THE STOP WAS NOT TAKEN, use the emergency stop: ${$('message').textContent}`);
+}
+const clear = () => command('/v1/clear', 'Clearing …', () => 'Cleared.', () => status.state !== 'FAULT').then(() => $('serial').focus());
+const openBrake = () => command(`/v1/open${stopsSeen()}`, 'Opening …', () => status.open_reason || 'Opened.', ({ id }) => status.open_id === id);
 $('stop').addEventListener('click', stop);
 $('clear').addEventListener('click', clear);
+$('open').addEventListener('click', openBrake);
 
 $('unlock').addEventListener('submit', async (event) => {
   event.preventDefault();
-  sessionStorage.setItem(kTokenKey, $('token').value.trim());
+  keepToken($('token').value.trim());
   $('token').value = '';
   await checkSession().catch(() => {});
 });
 
-// ---------------------------------------------------------------------------------------------- keyboard, views
+// ---------------------------------------------------------------------------------------------- views
 
 const view = (name) => !$(`view-${name}`).hidden;
 
-function open(name) {
+function openView(name) {
   for (const button of document.querySelectorAll('nav button[data-view]')) {
     const chosen = button.dataset.view === name;
     $(`view-${button.dataset.view}`).hidden = !chosen;
@@ -355,178 +436,63 @@ function open(name) {
     else button.removeAttribute('aria-current');
   }
   if (name === 'station') {
-    if (reference) drawRun('live', live);
+    if (reference) drawRun('live', live, reference);
     showRecord();
     $('serial').focus();
   }
-  if (name === 'history') listHistory();
+  if (name === 'history') listHistory(reference);
   if (name === 'statistics') showStatistics();
 }
 
-for (const button of document.querySelectorAll('nav button[data-view]')) button.addEventListener('click', () => open(button.dataset.view));
-
-// A scanner types like a keyboard: a "c" that others follow at once is part of a number, no command.
-const kAloneFor_ms = 250;
-let waitingClear = null;
-
-document.addEventListener('keydown', (event) => {
-  clearTimeout(waitingClear);
-  if (event.key === 'Escape' && !event.repeat) {
-    event.preventDefault();
-    if (moving() || status === null) stop();
-    return;
-  }
-  const views = { F2: 'station', F3: 'history', F4: 'statistics' };
-  if (views[event.key]) {
-    event.preventDefault();
-    return open(views[event.key]);
-  }
-  if (event.repeat || event.ctrlKey || event.altKey || event.metaKey) return;
-  const typing = event.target instanceof HTMLInputElement && !event.target.disabled;
-  if (!typing && status?.state === 'FAULT' && event.key === 'c') waitingClear = setTimeout(clear, kAloneFor_ms);
-  else if (!typing && view('station') && event.key.length === 1 && !$('serial').disabled && !$('entry').hidden) $('serial').focus();
-});
-
-// ---------------------------------------------------------------------------------------------- history
-
-let checks = [];
-let chosen = null;
-
-const when = (started) => new Date(started).toLocaleString('sv-SE');
-const badge = (verdict, marginal) => element('span', { className: `badge ${verdict}`, textContent: verdict + (marginal ? ' !' : ''), title: marginal ? 'marginal' : '' });
-
-async function listHistory() {
-  try {
-    checks = (await ask(`/v1/results?limit=500&verdict=${encodeURIComponent($('filter-verdict').value)}`)).checks;
-  } catch (error) {
-    checks = [];
-    return $('history-list').replaceChildren(element('p', { textContent: error.message }));
-  }
-  filterHistory();
-}
-
-function filterHistory() {
-  const wanted = $('filter-serial').value.trim().toLowerCase();
-  const shown = checks.filter((check) => check.serial.toLowerCase().includes(wanted));
-  setText($('history-count'), `${shown.length} checks`);
-  $('history-list').replaceChildren(...shown.map((check) => {
-    const row = element('button', { type: 'button', title: check.reason }, badge(check.verdict, check.marginal),
-                        element('time', { textContent: when(check.started), dateTime: check.started }),
-                        element('span', { className: 'serial', textContent: check.serial }));
-    row.dataset.record = check.record;
-    row.setAttribute('aria-selected', check.record === chosen);
-    row.addEventListener('click', () => choose(check.record));
-    return row;
-  }));
-  const first = $('history-list').querySelector('[aria-selected="true"]') ?? $('history-list').querySelector('button');
-  if (document.activeElement !== $('filter-serial') && document.activeElement !== $('filter-verdict')) first?.focus();
-}
-
-$('filter-serial').addEventListener('input', filterHistory);
-$('filter-verdict').addEventListener('change', listHistory);
-$('filter').addEventListener('submit', (event) => event.preventDefault());
-$('view-history').addEventListener('keydown', (event) => {
-  const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-  if (!step || event.target === $('filter-verdict')) return;
-  event.preventDefault();
-  const rows = [...$('history-list').querySelectorAll('button')];
-  const next = rows[Math.min(rows.length - 1, Math.max(0, rows.indexOf(document.activeElement) + step))];
-  next?.focus();
-  next?.click();
-});
-
-async function choose(id) {
-  chosen = id;
-  for (const row of $('history-list').querySelectorAll('button')) row.setAttribute('aria-selected', row.dataset.record === id);
-  const detail = $('history-detail');
-  let check;
-  try {
-    check = await ask(`/v1/results/${encodeURIComponent(id)}`);
-  } catch (error) {
-    return detail.replaceChildren(element('p', { textContent: error.message }));
-  }
-  if (chosen !== id) return;  // another one was chosen meanwhile
-  const facts = { started: when(check.started), bench: `${shortNumber(check.duration_s, 3)} s, ${check.repeats} repeats`, operator: check.operator, 'part number': check.part_number,
-                  batch: check.batch, station: check.station, fixture: check.fixture, limits: [check.limits.file, check.limits.revision].filter(Boolean).join(' '),
-                  tracking: `${shortNumber(check.tracking_rms_N, 3)} N rms`, timing: `${check.timing.skipped} skipped, ${shortNumber(check.timing.lateness_us.max, 3)} µs late at most`,
-                  software: check.software_version, record: check.record };
-  const list = element('dl');
-  for (const [name, value] of Object.entries(facts)) if (value) list.append(element('dt', { textContent: name }), element('dd', { textContent: value }));
-  const parameters = element('div', { className: 'parameters' });
-  const runs = element('select', { ariaLabel: 'run' }, ...check.runs.map((_, i) => element('option', { value: i, textContent: `run ${i + 1}` })));
-  const charts = kChannels.map((channel, i) => {
-    const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-    svg.id = `past-${channel.svg}`;
-    svg.setAttribute('class', i === kChannels.length - 1 ? 'chart axis' : 'chart');
-    return svg;
-  });
-  detail.replaceChildren(
-    element('h2', {}, badge(check.verdict, check.marginal), element('span', { textContent: check.serial }), ...(check.simulated ? [element('span', { className: 'pill warn', textContent: 'SIMULATED' })] : [])),
-    element('p', { textContent: check.reason }),
-    ...(check.cause ? [element('p', {}, element('b', { textContent: causeText(check.cause) }), ` ${check.cause.summary}`)] : []),
-    parameters, list, ...(check.runs.length > 0 ? [runs, ...charts] : []));
-  showParameters(parameters, check.parameters);
-  const drawPast = async () => {
-    try {
-      drawRun('past', await ask(`/v1/results/${encodeURIComponent(check.record)}/runs/${runs.value}`));
-    } catch (error) {
-      charts.forEach((svg) => svg.replaceChildren());
-    }
-  };
-  runs.addEventListener('change', drawPast);
-  if (check.runs.length > 0 && reference) await drawPast();
-}
-
-// ---------------------------------------------------------------------------------------------- statistics
-
-let statistics = null;
-let charted = null;
-
-async function showStatistics() {
-  try {
-    statistics = await ask('/v1/statistics?limit=500');
-  } catch (error) {
-    return $('capability').replaceChildren(element('p', { textContent: error.message }));
-  }
-  const judged = statistics.passed + statistics.failed;
-  setText($('statistics-text'), `${statistics.checks} checks: ${statistics.passed} passed, ${statistics.failed} failed, ${statistics.invalid} invalid` +
-          (judged > 0 ? `; yield ${(100 * statistics.passed / judged).toFixed(1)} %` : '') + (statistics.simulated > 0 ? `; ${statistics.simulated} simulated` : ''));
-  if (statistics.parameters.length === 0) {
-    return $('capability').replaceChildren(element('p', { className: 'quiet', textContent: 'Capability and charts need at least two brakes with a valid check.' }));
-  }
-  const body = element('tbody');
-  for (const parameter of statistics.parameters) {
-    const signals = parameter.individuals.signals.length + parameter.moving_range.signals.length;
-    const row = element('tr', { tabIndex: 0 }, ...[`${parameter.name}, ${unitText(parameter.unit)}`, parameter.n, shortNumber(parameter.mean), shortNumber(parameter.sd_overall, 3), shortNumber(parameter.cp.value, 3),
-                        shortNumber(parameter.cpk.value, 3), shortNumber(parameter.ppk.value, 3), signals || ''].map((text) => element('td', { textContent: text })));
-    row.dataset.name = parameter.name;
-    row.addEventListener('click', () => chart(parameter.name));
-    row.addEventListener('focus', () => chart(parameter.name));
-    body.append(row);
-  }
-  $('capability').replaceChildren(element('table', {}, element('thead', {}, element('tr', {}, ...['parameter', 'brakes', 'mean', 'sd', 'Cp', 'Cpk', 'Ppk', 'signals'].map((text) => element('th', { textContent: text })))), body),
-                                  element('p', { className: 'quiet', textContent: 'The last valid check of each brake counts. Choose a parameter: Tab or click.' }));
-  chart(statistics.parameters.some((parameter) => parameter.name === charted) ? charted : statistics.parameters[0].name);
-}
-
-function chart(name) {
-  charted = name;
-  const parameter = statistics.parameters.find((each) => each.name === name);
-  for (const row of $('capability').querySelectorAll('tbody tr')) row.setAttribute('aria-selected', row.dataset.name === name);
-  setText($('chart-name'), `${name}${parameter.unit ? `, ${unitText(parameter.unit)}` : ''}; red dashes: control limits; specification ${shortNumber(parameter.lower)} to ${shortNumber(parameter.upper)}`);
-  controlChart($('chart-individuals'), parameter.individuals, 'brake');
-  controlChart($('chart-range'), parameter.moving_range, 'brake');
-  const signals = [...parameter.individuals.signals.map((signal) => `${statistics.serials[signal.at] ?? ''}: ${signal.description} (${signal.rule})`),
-                   ...parameter.moving_range.signals.map((signal) => `${statistics.serials[signal.at + 1] ?? ''}: moving range beyond its limit`)];
-  $('signals').replaceChildren(...(signals.length > 0 ? signals : ['Nothing that chance does not explain.']).map((text) => element('p', { textContent: text })));
-}
+for (const button of document.querySelectorAll('nav button[data-view]')) button.addEventListener('click', () => openView(button.dataset.view));
 
 window.addEventListener('resize', () => {
   if (view('station') && reference) {
-    drawRun('live', live);
+    drawRun('live', live, reference);
     showRecord();
   }
-  if (view('statistics') && statistics?.parameters.length > 0) chart(charted);
+  if (view('statistics')) drawStatistics();
+});
+
+// ---------------------------------------------------------------------------------------------- keyboard
+
+// A scanner types like a keyboard, wherever the focus is: what it types belongs into the field, and a "c" that others
+// follow at once is part of a number, no command.
+const kAloneFor_ms = 250;
+let waitingClear = null;
+
+/** The key that comes next goes to the field, after `before`. */
+function leadToField(before) {
+  if ($('entry').hidden) return say('A scan was not taken: this screen may look, but not start anything.');
+  const elsewhere = !view('station');
+  if (elsewhere) openView('station');
+  $('serial').focus();
+  const from = $('serial').value !== '' ? entered : busy() ? 'busy' : elsewhere ? 'elsewhere' : null;
+  setField($('serial').value + before, from);
+  entered = from;  // also of a field that is empty yet
+}
+
+function isCommand(event) {
+  if (event.key === 'Escape') {
+    if (!event.repeat && (busy() || status === null)) stop();
+    return true;
+  }
+  const views = { F2: 'station', F3: 'history', F4: 'statistics' };
+  if (views[event.key]) openView(views[event.key]);
+  if (event.key === 'F9' && !$('clamped').hidden && !event.repeat) openBrake();
+  return event.key in views || event.key === 'F9';
+}
+
+document.addEventListener('keydown', (event) => {
+  const held = waitingClear === null ? '' : 'c';
+  clearTimeout(waitingClear);
+  waitingClear = null;
+  if (isCommand(event)) return event.preventDefault();
+  const typing = event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement;
+  const printable = event.key.length === 1 && event.key !== ' ';
+  if (typing || event.repeat || event.ctrlKey || event.altKey || event.metaKey || !(printable || (held && event.key === 'Enter'))) return;
+  if (!held && event.key === 'c' && status?.state === 'FAULT') waitingClear = setTimeout(() => { waitingClear = null; clear(); }, kAloneFor_ms);
+  else leadToField(held);
 });
 
 showRecord();

@@ -190,6 +190,42 @@ Panel scatter_panel(const std::string& title, const std::vector<double>& percent
   return panel;
 }
 
+/// The last samples before the fault; its instant is 0.
+Result<void> write_flight_recorder(Page& page, const CheckRecord& check) {
+  page.section("The last samples before the fault");
+  Curve force{"measured", {}, {}, Colour::Blue, Stroke::Solid, 1.6, false};
+  Curve wanted{"reference", {}, {}, Colour::Vermilion, Stroke::Dashed, 1.2, false};
+  Curve velocity{"", {}, {}, Colour::Blue, Stroke::Solid, 1.6, false};
+  Curve torque{"measured", {}, {}, Colour::Blue, Stroke::Solid, 1.6, true};
+  Curve command{"command", {}, {}, Colour::Vermilion, Stroke::Dashed, 1.2, true};
+  const std::int64_t end_ns = check.flight_recorder.back().brake_time_ns;
+  for (const Sample& sample : check.flight_recorder) {
+    const double time_s = static_cast<double>(sample.brake_time_ns - end_ns) * 1e-9;
+    for (Curve* curve : {&force, &wanted, &velocity, &torque, &command}) curve->x.push_back(time_s);
+    force.y.push_back(sample.force_N / 1000.0);
+    wanted.y.push_back(sample.force_reference_N / 1000.0);
+    velocity.y.push_back(sample.velocity_rad_s);
+    torque.y.push_back(sample.torque_Nm);
+    command.y.push_back(sample.torque_command_Nm);
+  }
+  Panel forces, velocities, torques;
+  forces.y.label = "force, kN";
+  velocities.y.label = "velocity, rad/s";
+  torques.y.label = "torque, N m";
+  torques.x.label = "time before the fault was seen, s";
+  forces.layers = {force, wanted};
+  velocities.layers = {velocity};
+  torques.layers = {torque, command};
+  Figure figure;
+  figure.panels = {forces, velocities, torques};
+  figure.panel_height_px = 190;
+  return page.figure(
+      figure,
+      fmt::format("The flight recorder: {} samples up to the fault {}, as they were read and answered. "
+                  "`clampctl results {} --flight FILE.csv` writes them all.",
+                  check.flight_recorder.size(), to_string(check.fault), check.id));
+}
+
 Figure grid(std::vector<Panel> panels) {
   Figure figure;
   figure.panels = std::move(panels);
@@ -322,11 +358,11 @@ Result<void> write_history(Page& page, const CheckReportContents& contents) {
               {}};
   for (std::size_t i = 0; i < std::min(history.size(), kHistoryRows); ++i) {
     const CheckRecord& check = history[i];
-    table.rows.push_back(
-        {readable(check.started) + (check.id == contents.check.id ? " (this one)" : ""),
-         Cell(fmt::format("{}{}", to_string(check.verdict), check.marginal ? " (marginal)" : ""),
-              tone_of(check.verdict)),
-         or_dash(check.operator_name), check.reason});
+    table.rows.push_back({readable(check.started) + (check.id == contents.check.id ? " (this one)" : ""),
+                          Cell(fmt::format("{}{}{}", to_string(check.verdict),
+                                           check.marginal ? " (marginal)" : "", check.voided ? ", void" : ""),
+                               check.voided ? Tone::Plain : tone_of(check.verdict)),
+                          or_dash(check.operator_name), check.voided ? check.voided->reason : check.reason});
   }
   page.table(table);
   std::reverse(history.begin(), history.end());
@@ -358,6 +394,9 @@ Result<std::string> check_report(const CheckReportContents& contents) {
                         check.simulated ? ". SIMULATED BRAKE: it says nothing about hardware" : ""));
   page.banner(std::string(to_string(check.verdict)), tone_of(check.verdict),
               check.marginal ? "Marginal. " + check.reason : check.reason);
+  if (check.voided)
+    page.paragraph(fmt::format("This record is void since {}, as {} said: {} It counts in no statistics.",
+                               readable(check.voided->when), check.voided->by, check.voided->reason));
   if (check.cause) {
     page.section("Cause");
     std::vector<std::pair<std::string, std::string>> entries{{"Diagnosis", check.cause->summary}};
@@ -380,6 +419,9 @@ Result<std::string> check_report(const CheckReportContents& contents) {
       return tl::unexpected(drawn.error());
     write_parameters(page, check);
   }
+  if (!check.flight_recorder.empty())
+    if (const auto written = write_flight_recorder(page, check); !written)
+      return tl::unexpected(written.error());
   if (const RunRecord* run = typical_run(check)) {
     page.section("A repeat against its reference");
     if (const auto drawn = page.figure(

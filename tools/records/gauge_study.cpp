@@ -45,7 +45,7 @@ std::vector<std::string> cells_of(std::string_view line) {
 Result<std::vector<GaugeQuantity>> gauge_of_checks(const std::vector<CheckRecord>& checks) {
   std::vector<GaugeQuantity> quantities;
   for (const CheckRecord& check : checks) {
-    if (!is_about_the_brake(check.verdict)) continue;
+    if (!is_about_the_brake(check.verdict) || check.voided) continue;
     for (const ParameterRecord& parameter : check.parameters) {
       auto found = std::find_if(quantities.begin(), quantities.end(),
                                 [&](const auto& known) { return known.name == parameter.name; });

@@ -21,6 +21,10 @@ void take(std::vector<ParameterStatistics>& parameters, const ParameterRecord& p
   found->values.push_back(parameter.value);
 }
 
+bool is_of_a_real_brake(const CheckRecord& check) {
+  return !check.simulated && is_about_the_brake(check.verdict);
+}
+
 }  // namespace
 
 LineStatistics line_statistics(std::vector<CheckRecord> newest_first, const std::string& master_serial) {
@@ -28,8 +32,16 @@ LineStatistics line_statistics(std::vector<CheckRecord> newest_first, const std:
   std::erase_if(checks, [&](const CheckRecord& check) {
     return !master_serial.empty() && check.serial == master_serial;
   });
-  std::reverse(checks.begin(), checks.end());
   LineStatistics statistics;
+  statistics.voided =
+      std::erase_if(checks, [](const CheckRecord& check) { return check.voided.has_value(); });
+  statistics.simulated = static_cast<std::size_t>(
+      std::count_if(checks.begin(), checks.end(), [](const auto& check) { return check.simulated; }));
+  if (statistics.simulated > 0 && std::any_of(checks.begin(), checks.end(), is_of_a_real_brake)) {
+    statistics.simulated_left_out = true;
+    std::erase_if(checks, [](const CheckRecord& check) { return check.simulated; });
+  }
+  std::reverse(checks.begin(), checks.end());
   statistics.checks = checks.size();
   if (checks.empty()) return statistics;
   statistics.first = checks.front().started;
@@ -41,7 +53,6 @@ LineStatistics line_statistics(std::vector<CheckRecord> newest_first, const std:
     statistics.passed += check.verdict == Verdict::Pass ? 1 : 0;
     statistics.failed += check.verdict == Verdict::Fail ? 1 : 0;
     statistics.invalid += is_about_the_brake(check.verdict) ? 0 : 1;
-    statistics.simulated += check.simulated ? 1 : 0;
     if (const auto last = counted.find(check.serial); last == counted.end() || last->second != &check)
       continue;
     statistics.serials.push_back(check.serial);

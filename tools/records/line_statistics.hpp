@@ -30,9 +30,11 @@ struct LineStatistics {
   std::size_t checks = 0;
   std::size_t passed = 0;
   std::size_t failed = 0;
-  std::size_t invalid = 0;    ///< ERROR, TIMEOUT, ABORTED
-  std::size_t simulated = 0;  ///< of all checks
-  std::string first;          ///< start of the first check, RFC 3339
+  std::size_t invalid = 0;          ///< ERROR, TIMEOUT, ABORTED
+  std::size_t simulated = 0;        ///< checks of simulated brakes
+  bool simulated_left_out = false;  ///< since there are real ones too, and only those are counted then
+  std::size_t voided = 0;           ///< void checks, which are counted nowhere else
+  std::string first;                ///< start of the first check, RFC 3339
   std::string last;
   std::vector<std::string> serials;             ///< of the brakes that count, the first one first
   std::vector<ParameterStatistics> parameters;  ///< of which at least two values are there

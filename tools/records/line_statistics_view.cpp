@@ -1,5 +1,6 @@
+#include <algorithm>
 #include <cmath>
-#include <iterator>
+#include <map>
 
 #include <fmt/format.h>
 
@@ -37,6 +38,53 @@ std::string index_text(const quality::CapabilityIndex& index) {
              : "-";
 }
 
+/// Cells padded to their columns, with two blanks between: texts to the left, the numbers of columns 1 to 3
+/// to the right.
+std::string aligned(const std::vector<std::vector<std::string>>& rows) {
+  std::vector<std::size_t> widths(rows.front().size(), 0);
+  for (const auto& row : rows)
+    for (std::size_t i = 0; i < row.size(); ++i) widths[i] = std::max(widths[i], row[i].size());
+  std::string text;
+  for (const auto& row : rows) {
+    std::string line;
+    for (std::size_t i = 0; i < row.size(); ++i)
+      line += i >= 1 && i <= 3 ? fmt::format("{:>{}}  ", row[i], widths[i])
+                               : fmt::format("{:<{}}  ", row[i], widths[i]);
+    line.erase(line.find_last_not_of(' ') + 1);
+    text += line + '\n';
+  }
+  return text;
+}
+
+std::string table_text(const LineStatistics& statistics) {
+  std::vector<std::vector<std::string>> rows{
+      {"parameter", "mean", "sd within", "sd", "Cp (95 %)", "Cpk (95 %)", "Ppk (95 %)", "unit"}};
+  for (const ParameterStatistics& p : statistics.parameters)
+    rows.push_back({p.name, fmt::format("{:.5g}", p.capability.mean),
+                    fmt::format("{:.3g}", p.capability.sd_within),
+                    fmt::format("{:.3g}", p.capability.sd_overall), index_text(p.capability.cp),
+                    index_text(p.capability.cpk), index_text(p.capability.ppk),
+                    p.unit + (p.limits_changed ? "  (limits changed: the newest count)" : "")});
+  return aligned(rows);
+}
+
+/// One line a brake, with all that its point breaks in either chart.
+std::string signals_text(const ParameterStatistics& parameter, const std::vector<std::string>& serials) {
+  std::map<std::size_t, std::string> lines;
+  const auto add = [&](std::size_t at, const std::string& words) {
+    std::string& line = lines[at];
+    line += (line.empty() ? "" : "; ") + words;
+  };
+  for (const quality::Signal& signal : parameter.charts.location.signals)
+    add(signal.at, fmt::format("{}: {}", quality::name(signal.rule), quality::description(signal.rule)));
+  for (const quality::Signal& signal : parameter.charts.spread.signals)
+    add(signal.at + 1, "moving range beyond its limit: a step");
+  std::string text;
+  for (const auto& [at, words] : lines)
+    text += fmt::format("  {:<8} {:<24} {}\n", parameter.name, serials.at(at), words);
+  return text;
+}
+
 }  // namespace
 
 ordered_json statistics_json(const LineStatistics& statistics) {
@@ -63,6 +111,8 @@ ordered_json statistics_json(const LineStatistics& statistics) {
           {"failed", statistics.failed},
           {"invalid", statistics.invalid},
           {"simulated", statistics.simulated},
+          {"void", statistics.voided},
+          {"simulated_left_out", statistics.simulated_left_out},
           {"first", statistics.first},
           {"last", statistics.last},
           {"confidence", 0.95},
@@ -78,32 +128,20 @@ std::string format_statistics(const LineStatistics& statistics) {
   if (const std::size_t judged = statistics.passed + statistics.failed; judged > 0)
     text += fmt::format("; yield {:.1f} %",
                         100.0 * static_cast<double>(statistics.passed) / static_cast<double>(judged));
-  if (statistics.simulated > 0) text += fmt::format("; {} SIMULATED", statistics.simulated);
+  if (statistics.simulated > 0)
+    text += fmt::format("; {} SIMULATED{}", statistics.simulated,
+                        statistics.simulated_left_out ? " are left out, since there are real ones" : "");
+  if (statistics.voided > 0) text += fmt::format("; {} void are left out", statistics.voided);
   text += fmt::format("\n{} brakes, the last valid check of each\n\n", statistics.serials.size());
   if (statistics.parameters.empty())
     return text + "Capability needs at least two brakes with a valid check.\n";
 
-  text += fmt::format("{:<16}{:>12}{:>11}{:>11}  {:<19}{:<19}{:<19}{}\n", "parameter", "mean", "sd within",
-                      "sd", "Cp (95 %)", "Cpk (95 %)", "Ppk (95 %)", "unit");
-  for (const ParameterStatistics& p : statistics.parameters)
-    text +=
-        fmt::format("{:<16}{:>12.5g}{:>11.3g}{:>11.3g}  {:<19}{:<19}{:<19}{}{}\n", p.name, p.capability.mean,
-                    p.capability.sd_within, p.capability.sd_overall, index_text(p.capability.cp),
-                    index_text(p.capability.cpk), index_text(p.capability.ppk), p.unit,
-                    p.limits_changed ? "  (limits changed: the newest count)" : "");
+  text += table_text(statistics);
   text += "\nControl charts (individuals, moving ranges):\n";
-  bool quiet = true;
-  for (const ParameterStatistics& p : statistics.parameters) {
-    for (const quality::Signal& signal : p.charts.location.signals)
-      text += fmt::format("  {:<8} {:<24} {}: {}\n", p.name, statistics.serials.at(signal.at),
-                          quality::name(signal.rule), quality::description(signal.rule));
-    for (const quality::Signal& signal : p.charts.spread.signals)
-      text += fmt::format("  {:<8} {:<24} moving range beyond its limit: a step\n", p.name,
-                          statistics.serials.at(signal.at + 1));
-    quiet = quiet && p.charts.location.signals.empty() && p.charts.spread.signals.empty();
-  }
-  if (quiet) text += "  nothing that chance does not explain\n";
-  return text;
+  std::string signals;
+  for (const ParameterStatistics& parameter : statistics.parameters)
+    signals += signals_text(parameter, statistics.serials);
+  return text + (signals.empty() ? "  nothing that chance does not explain\n" : signals);
 }
 
 }  // namespace clampd

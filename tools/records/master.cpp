@@ -54,7 +54,7 @@ MasterReport master_report(const MasterSettings& settings, const LimitSet& certi
   if (settings.serial.empty()) return report;
   std::vector<const CheckRecord*> checks;  // the oldest first
   for (auto check = newest_first.rbegin(); check != newest_first.rend(); ++check)
-    if (is_about_the_brake(check->verdict)) checks.push_back(&*check);
+    if (is_about_the_brake(check->verdict) && !check->voided) checks.push_back(&*check);
   if (checks.empty()) {
     report.state = MasterState::Due;
     report.text = fmt::format(

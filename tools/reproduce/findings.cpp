@@ -4,10 +4,11 @@
 #include <cmath>
 #include <limits>
 
+#include "clampd/base/nan.hpp"
+
 namespace clampd::reproduce {
 namespace {
 
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr std::size_t kKnee_samples = 180;
 /// The sinusoid between its approach and its release.
 constexpr std::size_t kSinusoidBegin = 150;
@@ -45,7 +46,7 @@ ColumnFigures figures_of(const Column& column) {
 
 /// Median over the estimates of the distance of theta / theta_nom from the truth: some fits end anywhere.
 ParameterVector median_error(const Column& column) {
-  ParameterVector medians = ParameterVector::Constant(kNan);
+  ParameterVector medians = ParameterVector::Constant(kNaN);
   if (column.estimates.empty()) return medians;
   for (Eigen::Index i = 0; i < medians.size(); ++i) {
     std::vector<double> errors;
@@ -116,7 +117,7 @@ std::size_t falls(const std::vector<Design>& designs, double Criterion::*criteri
 double steepness(const std::vector<Design>& designs, std::size_t from, std::size_t to) {
   const Design* const first = design_of(designs, from);
   const Design* const last = design_of(designs, to);
-  if (first == nullptr || last == nullptr) return kNan;
+  if (first == nullptr || last == nullptr) return kNaN;
   return (first->summary.criterion.logdet - last->summary.criterion.logdet) *
          static_cast<double>(kBlock_samples) / static_cast<double>(to - from);
 }

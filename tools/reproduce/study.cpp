@@ -10,6 +10,7 @@
 
 #include <fmt/format.h>
 
+#include "clampd/base/nan.hpp"
 #include "clampd/experiment/manoeuvres.hpp"
 #include "clampd/experiment/reference.hpp"
 #include "clampd/identify/output_error.hpp"
@@ -20,7 +21,6 @@ namespace {
 
 constexpr std::size_t kShortest_samples = 100;
 constexpr std::size_t kLongest_samples = 400;
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 using Estimator = Estimate (*)(std::span<const Run>, const EstimatorOptions&);
 
@@ -146,8 +146,8 @@ Result<Experiment> drive_manoeuvre(const char* name, std::uint16_t repeats, std:
 }
 
 void compute_scatter(Column& column) {
-  column.mean.setConstant(kNan);
-  column.covariance.setConstant(kNan);
+  column.mean.setConstant(kNaN);
+  column.covariance.setConstant(kNaN);
   const auto count = static_cast<double>(column.estimates.size());
   if (column.estimates.size() < 2) return;
   const auto normalised = [](const Estimate& estimate) -> ParameterVector {
@@ -178,8 +178,8 @@ Column estimate_each(std::string name, Estimator estimator, const Experiment& ex
     column.estimates.push_back(std::move(estimate));
   }
   compute_scatter(column);
-  column.bound.setConstant(kNan);
-  column.bound_exact.setConstant(kNan);
+  column.bound.setConstant(kNaN);
+  column.bound_exact.setConstant(kNaN);
   if (!walls_s.empty()) {
     const auto middle = walls_s.begin() + static_cast<std::ptrdiff_t>(walls_s.size() / 2);
     std::nth_element(walls_s.begin(), middle, walls_s.end());

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -39,6 +40,7 @@ struct CheckSummary {
   std::uint32_t repeats = 0;
   double duration_s = 0.0;
   std::string reason;
+  bool is_void = false;  ///< it counts in no statistics
 };
 
 /// A limits file as the first check that was judged by it found it.
@@ -71,6 +73,21 @@ struct RetentionSummary {
   std::vector<std::pair<std::string, std::size_t>> waiting;
 };
 
+/// What verify() found.
+struct Verification {
+  struct Damage {
+    std::string check;  ///< id; empty: not one check's
+    std::string what;
+  };
+  std::size_t checks = 0;
+  std::size_t amendments = 0;
+  std::size_t runs = 0;          ///< whose data are there and match their checksum
+  std::size_t runs_removed = 0;  ///< by retention
+  /// SHA-256 of the chain's last entry: noted elsewhere, it shows later that nothing was taken off the end.
+  std::string chain_sha256;
+  std::vector<Damage> damage;
+};
+
 enum class PublicationState : std::uint8_t { Pending = 0, Published = 1 };
 
 /// A check that a channel has yet to publish.
@@ -86,6 +103,12 @@ struct OutboxState {
   std::string oldest;  ///< RFC 3339, UTC: when the one that is next was queued; empty if none waits
 };
 
+/// Puts the backup in the place of the results at `path`, also while a station runs on them. The backup is
+/// verified first, and what was there is kept beside it under the name that is returned (empty: nothing was
+/// there). Errors: the backup is damaged, or no database of results; then everything stays as it is.
+Result<std::string> restore_backup(const std::string& backup, const std::string& path,
+                                   std::int64_t now_utc_ns);
+
 /// The station's results: one SQLite file, write-ahead logged and synced at every commit, so that a saved
 /// check survives a power cut. Several processes may read while one writes. Not for use by two threads at
 /// once.
@@ -94,7 +117,8 @@ class CheckStore {
   enum class Access { ReadWrite, ReadOnly };
 
   /// Opens or (ReadWrite) creates the file and its folder, and brings its schema up to date. A lock held by
-  /// another process is waited for as long as `busy_timeout_ms`.
+  /// another process is waited for as long as `busy_timeout_ms`. ReadOnly also opens what may only be read: a
+  /// backup, a folder without write permission. Errors: it is a database of another program.
   static Result<CheckStore> open(const std::string& path, Access access = Access::ReadWrite,
                                  int busy_timeout_ms = 5000);
 
@@ -105,18 +129,37 @@ class CheckStore {
   /// Channels whose outbox gets every check that is saved from now on.
   void queue_for(std::vector<std::string> channels) { outbox_channels_ = std::move(channels); }
 
-  /// The whole record and its entries in the outboxes, in one transaction. An id that is already there is an
-  /// error.
+  /// The whole record, its entry in the chain of checksums and its entries in the outboxes, in one
+  /// transaction. An id that is already there is an error; so is a file that was deleted, moved or replaced
+  /// since it was opened: then nothing counts as saved.
   Result<void> save(const CheckRecord& record);
 
+  /// Marks a check as void: it stays on record, but counts in no statistics. `id` as for load(). Errors: it
+  /// is void already.
+  Result<std::string> mark_void(const std::string& id, const VoidRecord& why);
+
+  /// What further experiments after the check say of its cause, and its reason in these words: from now on
+  /// the record's own.
+  Result<void> save_settled_cause(const std::string& id, const std::optional<CauseRecord>& cause,
+                                  const std::string& reason);
+
+  /// Looks through everything: each record against its checksum, the chain of these from the first to the
+  /// last, each raw run, and the file itself. What is damaged is named, and the rest gone on with.
+  /// `progress`: share done.
+  Result<Verification> verify(const std::function<void(double)>& progress = {}) const;
+
+  /// Copies everything as it is now into a new file, also while others write. Errors: there is such a file.
+  Result<void> back_up(const std::string& file) const;
+
+  /// A record that is damaged is listed as an ERROR whose reason says so.
   Result<std::vector<CheckSummary>> list(const CheckFilter& filter) const;
 
   /// The same checks as whole records, but for runs, lateness histogram and flight recorder, which stay
   /// empty.
   Result<std::vector<CheckRecord>> load_results(const CheckFilter& filter) const;
 
-  /// The whole record, its runs' checksums verified; runs that retention removed have no rows. `id` may be
-  /// shortened as long as it is unambiguous; "last" is the one saved last.
+  /// The whole record, its own checksum and its runs' verified; runs that retention removed have no rows.
+  /// `id` may be shortened as long as it is unambiguous; "last" is the one saved last.
   Result<CheckRecord> load(const std::string& id) const;
 
   /// One check by its whole id, as `load_results` has it, and the names, figures and checksums of its runs.
@@ -146,6 +189,9 @@ class CheckStore {
 
  private:
   struct Database;
+  Result<std::string> whole_id(const std::string& id) const;
+  Result<CheckRecord> load_whole(const std::string& id,
+                                 const std::function<Result<void>(CheckRecord&)>& read_the_rest) const;
   explicit CheckStore(std::unique_ptr<Database> database);
   std::unique_ptr<Database> database_;
   std::vector<std::string> outbox_channels_;

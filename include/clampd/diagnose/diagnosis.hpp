@@ -180,6 +180,8 @@ struct DiagnoseOptions {
   double false_alarm = 0.005;  ///< chance that a faultless set is not called adequate
   /// Called from one thread at a time with the share done and what is being done.
   std::function<void(double, const std::string&)> progress;
+  /// Asked now and then, from any thread: true, which it then stays, ends the search with an error.
+  std::function<bool()> given_up;
 };
 
 /// Says whether the base model explains the runs, and if not what does. Runs in chronological order; needs

@@ -19,6 +19,6 @@ enum class Method {
 std::string_view to_string(Method method) noexcept;
 std::optional<Method> parse_method(std::string_view name) noexcept;
 
-Estimate identify(Method method, std::span<const Run> runs, const EstimatorOptions& options);
+Estimate identify_brake(Method method, std::span<const Run> runs, const EstimatorOptions& options);
 
 }  // namespace clampd

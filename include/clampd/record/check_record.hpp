@@ -72,6 +72,15 @@ struct CauseRecord {
   bool operator==(const CauseRecord&) const = default;
 };
 
+/// Why a record does not count any more.
+struct VoidRecord {
+  std::string reason;
+  std::string by;    ///< as the operating system calls whoever said so
+  std::string when;  ///< RFC 3339, UTC
+
+  bool operator==(const VoidRecord&) const = default;
+};
+
 /// Everything the trade expects in the record of one check (traceability first).
 struct CheckRecord {
   std::string id;  ///< unique, sortable by time
@@ -98,6 +107,8 @@ struct CheckRecord {
   std::string reason;  ///< one sentence a technician understands
   FaultCause fault = FaultCause::None;
   std::optional<CauseRecord> cause;  ///< of an ERROR or FAIL whose runs the model does not explain
+
+  std::optional<VoidRecord> voided;  ///< said later: it stays on record, but counts in no statistics
 
   std::vector<ParameterRecord> parameters;    ///< the seven, then "EFFECT.PARAMETER" of an extended model
   std::vector<double> covariance_normalised;  ///< 7 x 7, row-major; empty where there is no fit

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <string_view>
 #include <type_traits>
@@ -43,11 +44,20 @@ enum class FaultCause : std::uint8_t {
   SequenceTimeout = 16,  ///< a phase of the check did not end in time (contact not found, never at rest)
   OperatorStop = 17,
   EmergencyStop = 18,
-  SampleLost = 19,        ///< samples missing within a run
-  FixtureOpen = 20,       ///< the fixture was opened during a check
-  InterlockLost = 21,     ///< a line of the panel cannot be read or driven
-  StartButtonStuck = 22,  ///< the start button is held
+  SampleLost = 19,           ///< samples missing within a run
+  FixtureOpen = 20,          ///< the fixture was opened during a check
+  InterlockLost = 21,        ///< a line of the panel cannot be read or driven
+  StartButtonStuck = 22,     ///< the start button is held
+  ForceReading = 23,         ///< the force contradicts position or torque, or stands still while it cannot
+  VelocityReading = 24,      ///< the velocity contradicts position or torque, or stands still while it cannot
+  PositionReading = 25,      ///< the position contradicts velocity, torque or force
+  TorqueReading = 26,        ///< the torque reading contradicts the command
+  TorqueAgainstMotion = 27,  ///< position and velocity agree, and contradict the torque or the force: the
+                             ///< encoder behind both, a drive without torque, or a brake that is blocked
+  DeadlinePassed = 28,       ///< the whole check did not end in time
+  StationEnded = 29,         ///< the station's program was told to end
 };
+inline constexpr std::size_t kFaultCauseCount = static_cast<std::size_t>(FaultCause::StationEnded) + 1;
 std::string_view to_string(FaultCause cause) noexcept;
 
 /// One brake sample as the loop logs it. Trivially copyable: it travels through the lock-free ring.

@@ -51,12 +51,18 @@ struct SupervisorSettings {
   int implausible_frames_max = 0;  ///< with a value that no brake can have, tolerated
   int send_failures_max = 1;       ///< in a row, tolerated
   double over_force_N = 33'000.0;
+  double over_force_ceiling_N = 36'000.0;  ///< above which nothing moves the brake, not even to open it
   double over_speed_rad_s = 350.0;
   double over_torque_Nm = 3.1;
   double over_travel_rad = 120.0;       ///< from where the check began
   double plausible_force_N = 60'000.0;  ///< magnitude beyond which a reading is a defect
   double plausible_velocity_rad_s = 1'000.0;
   double plausible_torque_Nm = 20.0;
+  // How far readings may contradict each other in a check.
+  double torque_mismatch_Nm = 0.1;
+  double velocity_mismatch_rad_s = 25.0;
+  double position_mismatch_rad = 0.3;
+  double force_mismatch_N = 2'500.0;
   int missed_ticks_max = 2;        ///< periods skipped at once, tolerated
   int missed_ticks_total_max = 5;  ///< periods skipped in one check, tolerated
   bool drive_reports_live = true;  ///< false for a brake whose feedback has no drive-enabled signal
@@ -117,14 +123,15 @@ struct GpioSettings {
 struct ControlSettings {
   std::string address = "127.0.0.1";
   std::uint16_t port = 8371;
-  std::string token_file;  ///< empty: none is asked for
+  std::string token_file;            ///< empty: none is asked for
+  std::vector<std::string> origins;  ///< of proxies, as a browser names them: "https://station7.example"
 };
 
 /// How long raw runs stay in the archive. Results and parameters always stay.
 struct RetentionSettings {
-  std::uint32_t raw_days = 0;          ///< 0: however old
-  std::uint64_t raw_megabytes = 0;     ///< of all raw runs together; 0: however many
-  std::vector<std::string> published;  ///< channels that must have published a check before its runs go
+  std::uint32_t raw_days = 0;            ///< 0: however old
+  std::uint64_t raw_megabytes = 20'000;  ///< of all raw runs together, as they are stored; 0: however many
+  std::vector<std::string> published;    ///< channels that must have published a check before its runs go
 };
 
 /// Publishing of every check to an MQTT broker.
@@ -156,9 +163,10 @@ struct PostgresqlConfiguration {
 
 /// A brake whose parameters are certified, checked to see whether the station still measures right.
 struct MasterSettings {
-  std::string serial;   ///< empty: there is none
-  std::string limits;   ///< limits file: its intervals are the certified values with their tolerance
-  double due_h = 24.0;  ///< how long a good check of the master brake is good for
+  std::string serial;     ///< empty: there is none
+  std::string limits;     ///< limits file: its intervals are the certified values with their tolerance
+  double due_h = 24.0;    ///< how long a good check of the master brake is good for
+  bool required = false;  ///< no other brake is checked while the master brake asks for something
 };
 
 /// Everything a station can be told. A default-constructed one works: the embedded simulated brake, nominal
@@ -200,7 +208,12 @@ Result<StationConfiguration> read_station_configuration(const std::string& path)
 Result<StationConfiguration> parse_station_configuration(const std::string& text, const std::string& path);
 
 /// Where the results go unless configured: $STATE_DIRECTORY (as systemd sets it), else /var/lib/clampd for
-/// root, else $XDG_STATE_HOME/clampd or ~/.local/state/clampd; in there, checks.sqlite.
-std::string default_database();
+/// root, else $XDG_STATE_HOME/clampd or ~/.local/state/clampd; in there, checks.sqlite, or simulated.sqlite
+/// for simulated brakes.
+std::string default_database(bool simulated);
+
+/// Puts a simulated brake in the place of the configured one. Where that is a real brake, the results go to
+/// simulated.sqlite beside its database, so that the two are never mixed.
+void simulate_brake(StationConfiguration& configuration);
 
 }  // namespace clampd

@@ -3,8 +3,10 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "clampd/diagnose/diagnosis.hpp"
@@ -27,8 +29,11 @@ struct CheckRequest {
   std::string batch = {};
 };
 
-/// Bounds of a request, checked before anything moves: a serial of 1 to 80 printable characters, 1 to 200
-/// repeats.
+/// The same without white space around its texts: " X " and "X" are one brake, whoever asks.
+CheckRequest normalised(CheckRequest request);
+
+/// Bounds of a request, checked before anything moves: a serial of 1 to 80 printable characters in UTF-8, 1
+/// to 200 repeats.
 Result<void> validate(const CheckRequest& request);
 
 /// What was prepared for this check.
@@ -45,7 +50,7 @@ struct CheckOutcome {
   FaultCause fault = FaultCause::None;
   Verdict fault_verdict = Verdict::Error;  ///< by the supervisor's table
   std::string fault_text;                  ///< the supervisor's sentence; may be empty
-  bool deadline_passed = false;
+  std::string refusal;                     ///< why the check never began; empty: it did
   TimingRecord timing;  ///< ticks, skips and lateness of this check; lost_samples: dropped by the ring
   PortHealth health;    ///< counts of this check alone, not since start
   std::int64_t stopped_utc_ns = 0;
@@ -54,6 +59,13 @@ struct CheckOutcome {
 
 /// How runs that the model does not explain get their cause: diagnose(), or another in tests.
 using Diagnoser = std::function<Result<Diagnosis>(std::span<const Run>, const DiagnoseOptions&)>;
+
+/// While the cause of a misfit is searched for, which takes seconds, seldom a minute.
+struct CauseSearch {
+  std::function<void(double share, const std::string& words)> progress = {};
+  /// Asked now and then, from any thread: true ends the search, and the verdict stands without a cause.
+  std::function<bool()> given_up = {};
+};
 
 /// One check from its first sample to its record. consume() and finish() belong to one thread, progress() to
 /// any.
@@ -64,12 +76,16 @@ class CheckSession {
     std::uint32_t repeats = 0;  ///< planned
     std::uint32_t recorded = 0;
     std::uint32_t identified = 0;
+    double cause_searched = 0.0;  ///< share of the search for a cause that is done; 0: none has begun
   };
 
   /// `request` must be valid.
   CheckSession(const StationConfiguration& configuration, const LimitSet& limits, const CheckRequest& request,
                const CheckContext& context, Estimator estimator, WorkerMode mode,
                Diagnoser diagnoser = diagnose);
+
+  /// Who hears of the search for a cause and may end it; before finish().
+  void watch_search(CauseSearch search) { search_ = std::move(search); }
 
   /// Every sample of the check, in the order of the ring.
   void consume(const Sample& sample);
@@ -78,12 +94,15 @@ class CheckSession {
   /// not explain the runs, which are then diagnosed if the configuration says so.
   CheckRecord finish(CheckOutcome outcome);
 
-  const std::string& id() const { return record_.id; }
+  /// What is known of the record before the first sample; empty after finish().
+  const CheckRecord& head() const { return record_; }
+  /// What finish() found out in that search, if there was one.
+  std::optional<Diagnosis> take_diagnosis() { return std::exchange(diagnosis_, std::nullopt); }
   Progress progress() const;
 
  private:
-  std::optional<Diagnosis> name_cause(CheckRecord& record) const;
-  void question_failure(CheckRecord& record) const;
+  const Diagnosis* name_cause(CheckRecord& record);
+  void question_failure(CheckRecord& record);
 
   StationConfiguration configuration_;
   LimitSet limits_;
@@ -93,6 +112,9 @@ class CheckSession {
   RunCollector collector_;
   IdentificationWorker worker_;
   Diagnoser diagnoser_;
+  CauseSearch search_;
+  std::optional<Diagnosis> diagnosis_;
+  std::atomic<double> cause_searched_{0.0};
   std::atomic<std::uint64_t> samples_{0};
   std::atomic<std::uint32_t> recorded_{0};
 };

@@ -17,8 +17,8 @@ struct CheckFacts {
   FaultCause fault = FaultCause::None;
   Verdict fault_verdict = Verdict::Error;  ///< what that fault ends a check with
   std::string fault_text;  ///< a sentence for the technician; empty: a plain one is made from the cause
-  bool deadline_passed = false;
-  std::string problem;  ///< why the recorded runs cannot be used; empty if they can
+  std::string refusal;     ///< why the check never began; empty: it did
+  std::string problem;     ///< why the recorded runs cannot be used; empty if they can
   std::uint32_t repeats_planned = 0;
   std::uint32_t repeats_recorded = 0;
   std::uint64_t ticks_skipped = 0;
@@ -46,13 +46,14 @@ struct Judgement {
 ParameterVerdict judge_parameter(double value, double sd, const LimitInterval& limits, double guard_band_k);
 
 /// The verdict. In this order:
-/// a fault: its own verdict (ABORTED for a stop, TIMEOUT for a phase, ERROR for the rest); the deadline:
-/// TIMEOUT; lost samples, skipped ticks above the limit, missing repeats, no estimate, a fit that does not
-/// explain the runs: ERROR; a parameter that fails: FAIL; a marginal one: decided by its value alone, with
-/// `marginal` set, unless its guard bands overlap, since then no value could pass: ERROR; a brake that passes
-/// but was not driven along the trajectory: ERROR. A brake that fails may have been tracked badly for that
-/// very reason: this stays a FAIL. Parameters of effects are judged where there are limits for them; a limit
-/// where no value can lie beyond (no play is less than 0) leaves no doubt, and so needs no guard band.
+/// a fault: its own verdict (ABORTED for a stop, TIMEOUT for a phase and the deadline, ERROR for the rest); a
+/// start that was refused: ERROR; lost samples, skipped ticks above the limit, missing repeats, no estimate,
+/// a fit that does not explain the runs: ERROR; a parameter that fails: FAIL; a marginal one: decided by its
+/// value alone, with `marginal` set, unless its guard bands overlap, since then no value could pass: ERROR; a
+/// brake that passes but was not driven along the trajectory: ERROR. A brake that fails may have been tracked
+/// badly for that very reason: this stays a FAIL. Parameters of effects are judged where there are limits for
+/// them; a limit where no value can lie beyond (no play is less than 0) leaves no doubt, and so needs no
+/// guard band.
 Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValiditySettings& validity);
 
 /// 0 pass, 1 fail, 3 error, 4 aborted, 5 timed out.

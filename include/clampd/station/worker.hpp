@@ -19,12 +19,12 @@
 
 namespace clampd {
 
-/// How runs become parameters: identify() with a method, identify_extended() with a model, or another in
+/// How runs become parameters: identify_brake() with a method, identify_extended() with a model, or another in
 /// tests.
 using Estimator = std::function<Estimate(std::span<const Run>, const EstimatorOptions&)>;
 inline Estimator estimator_of(Method method) {
   return [method](std::span<const Run> runs, const EstimatorOptions& options) {
-    return identify(method, runs, options);
+    return identify_brake(method, runs, options);
   };
 }
 /// By identify_extended().

@@ -109,6 +109,44 @@ int hold(StartButton& button, bool closed, std::int64_t& now_ns, std::int64_t fo
   return presses;
 }
 
+TEST(StartButton, StampsAPressWhereItsEdgeWasSeen) {
+  StartButton button(20 * kMs, 10'000 * kMs);
+  button.feed(false, 100 * kMs);
+  EXPECT_FALSE(button.pressed(100 * kMs));
+  button.feed(true, 150 * kMs);
+  EXPECT_FALSE(button.pressed(160 * kMs)) << "not debounced yet";
+  EXPECT_EQ(button.pressed(190 * kMs), 150 * kMs);
+  EXPECT_FALSE(button.pressed(191 * kMs));
+}
+
+TEST(StartPress, LivesForAMomentAndIsTakenOnce) {
+  StartPress press;
+  EXPECT_FALSE(press.take(0));
+  press.note(1'000 * kMs);
+  const auto taken = press.take(1'200 * kMs);
+  ASSERT_TRUE(taken);
+  EXPECT_EQ(taken->stamp_ns, 1'000 * kMs);
+  EXPECT_FALSE(taken->blocked);
+  EXPECT_FALSE(press.take(1'200 * kMs));
+  press.note(2'000 * kMs);
+  EXPECT_FALSE(press.take(2'201 * kMs)) << "as after a save that blocked";
+  EXPECT_FALSE(press.take(2'100 * kMs)) << "gone for good";
+}
+
+TEST(StartPress, IsBlockedByAnInterlockThatCameAfterIt) {
+  StartPress press;
+  press.block();
+  EXPECT_FALSE(press.take(0));
+  press.note(1'000 * kMs);
+  press.block();
+  const auto blocked = press.take(1'001 * kMs);
+  ASSERT_TRUE(blocked) << "so that somebody can say why nothing happened";
+  EXPECT_EQ(blocked->stamp_ns, 1'000 * kMs);
+  EXPECT_TRUE(blocked->blocked);
+  press.note(1'500 * kMs);
+  EXPECT_FALSE(press.take(1'501 * kMs)->blocked);
+}
+
 TEST(StartButton, ReportsEachPressOnce) {
   StartButton button(20 * kMs, 10'000 * kMs);
   std::int64_t now_ns = 5 * kMs;
@@ -196,13 +234,13 @@ TEST(RelayGate, DropsInTheLookThatSeesAFault) {
 
 TEST(StackLight, TellsEverySignApartAndIsNeverDark) {
   std::set<std::tuple<Lamp, Lamp, Lamp>> seen;
-  for (int i = 0; i <= static_cast<int>(Sign::Fault); ++i) {
+  for (int i = 0; i <= static_cast<int>(Sign::Clamped); ++i) {
     const StackLight light = stack_light(static_cast<Sign>(i));
     EXPECT_TRUE(light.red != Lamp::Off || light.amber != Lamp::Off || light.green != Lamp::Off) << i;
     seen.emplace(light.red, light.amber, light.green);
   }
   // Ready and passed are both green; starting and concluding both ask to wait.
-  EXPECT_EQ(seen.size(), 6U);
+  EXPECT_EQ(seen.size(), 7U);
 }
 
 TEST(StackLight, GreenMeansReadyOrPassedAndNothingElse) {
@@ -211,7 +249,7 @@ TEST(StackLight, GreenMeansReadyOrPassedAndNothingElse) {
   for (const StationState state : kEveryState) {
     for (const bool concluding : {false, true}) {
       for (const std::optional<Verdict> last : verdicts) {
-        const StackLight light = stack_light(sign_of(state, concluding, last));
+        const StackLight light = stack_light(sign_of(state, {concluding, last, false}));
         const bool good = state == StationState::Idle && !concluding && (!last || *last == Verdict::Pass);
         EXPECT_EQ(light.green == Lamp::On, good) << to_string(state) << concluding;
         const bool bad = state == StationState::Fault ||
@@ -220,6 +258,18 @@ TEST(StackLight, GreenMeansReadyOrPassedAndNothingElse) {
       }
     }
   }
+}
+
+TEST(StackLight, AClampedBrakeIsShownWheneverNothingDrives) {
+  for (const StationState state : kEveryState)
+    for (const bool concluding : {false, true}) {
+      const Sign sign = sign_of(state, {concluding, Verdict::Pass, true});
+      const Sign expected = state == StationState::Fault ? Sign::Fault
+                            : may_drive(state)           ? Sign::Running
+                                                         : Sign::Clamped;
+      EXPECT_EQ(sign, expected) << to_string(state);
+      EXPECT_NE(stack_light(sign).green, Lamp::On) << "hands off";
+    }
 }
 
 TEST(StackLight, BlinksOnceASecond) {

@@ -93,6 +93,34 @@ TEST_F(PlantFile, RefusesImpossibleValues) {
     EXPECT_FALSE(read(text).has_value()) << text;
 }
 
+TEST_F(PlantFile, SpoiledReadings) {
+  const auto plant = read(
+      "[[spoil]]\nreading = \"force\"\nkind = \"late\"\namount = 20\nat_s = 1.5\n"
+      "[[spoil]]\nreading = \"encoder\"\nkind = \"frozen\"\nat_s = 2\nduration_s = 0.5\n");
+  ASSERT_TRUE(plant.has_value()) << plant.error().message;
+  ASSERT_EQ(plant->spoiled.size(), 2u);
+  EXPECT_EQ(plant->spoiled[0].reading, Reading::Force);
+  EXPECT_EQ(plant->spoiled[0].spoil, Spoil::Late);
+  EXPECT_EQ(plant->spoiled[0].amount, 20.0);
+  EXPECT_TRUE(plant->spoiled[0].active(1e6));
+  EXPECT_FALSE(plant->spoiled[0].active(1.4));
+  EXPECT_EQ(plant->spoiled[1].reading, Reading::Encoder);
+  EXPECT_FALSE(plant->spoiled[1].active(2.6));
+  for (const auto& [text, message] : std::initializer_list<std::pair<const char*, const char*>>{
+           {"[[spoil]]\nreading = \"force\"\n", "needs a reading and a kind"},
+           {"[[spoil]]\nreading = \"colour\"\nkind = \"frozen\"\n",
+            "force, velocity, position, torque, encoder"},
+           {"[[spoil]]\nreading = \"force\"\nkind = \"sleepy\"\n", "frozen, scaled, negated"},
+           {"[[spoil]]\nreading = \"force\"\nkind = \"late\"\namount = 1e9\n",
+            "an amount that its kind can have"},
+           {"[[spoil]]\nreading = \"force\"\nkind = \"frozen\"\nsize = 1\n", "unknown key spoil.size"},
+           {"[spoil]\n", "[[spoil]]"}}) {
+    const auto refused = read(text);
+    ASSERT_FALSE(refused.has_value()) << text;
+    EXPECT_THAT(refused.error().message, HasSubstr(message));
+  }
+}
+
 TEST(PlantConfigurationFile, MissingFileIsAnErrorWithItsName) {
   const auto plant = read_plant_configuration("/nonexistent/plant.toml");
   ASSERT_FALSE(plant.has_value());

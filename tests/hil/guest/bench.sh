@@ -30,13 +30,14 @@ bring_up() {
   esac
 }
 
-# start_brake TRACE [FAULT-KIND AT_S DURATION_S]
+# start_brake TRACE [FAULT-KIND AT_S DURATION_S]; brake_tables: further tables of its configuration
 start_brake() {
   trace=$1
   cp plant.toml /tmp/plant.toml
   if [ $# -gt 1 ]; then
     printf '\n[[fault]]\nkind = "%s"\nat_s = %s\nduration_s = %s\n' "$2" "$3" "$4" >>/tmp/plant.toml
   fi
+  printf '%s\n' "${brake_tables:-}" >>/tmp/plant.toml
   rm -f "$trace"
   clampd-plant --interface $brake_interface --config /tmp/plant.toml --dbc configs/brake.dbc --realtime $brake_priority \
     --trace "$trace" >>/tmp/plant.log 2>&1 &

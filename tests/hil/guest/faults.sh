@@ -4,6 +4,7 @@
 # as candump saw them (all that is left of a brake that was killed). Both must have been driving when the cause came.
 
 readonly zero_torque_ms=5
+readonly lying_reading_ms=60 # until readings have contradicted each other for long enough
 readonly silent_station_ms=21 # the brake's watchdog of 20 ms, and the sample in which it acts
 
 # fault NAME CAUSE REMOVAL [BRAKE-LIMIT-MS]: CAUSE and REMOVAL are commands; CAUSE prints the clocks as cause.cpp does.
@@ -25,6 +26,22 @@ scripted_fault() {
   stop_brake
   at_s=6.0
   start_brake /tmp/trace.csv "$1" $at_s 0.3
+  expect_scripted "$1" $zero_torque_ms
+}
+
+# spoiled_reading READING KIND WORD: a reading lies while the check is known to clamp, in frames that are right.
+spoiled_reading() {
+  stop_brake
+  at_s=6.0
+  brake_tables=$(printf '[[spoil]]\nreading = "%s"\nkind = "%s"\nat_s = %s\nduration_s = 0.3' "$1" "$2" $at_s)
+  start_brake /tmp/trace.csv
+  brake_tables=
+  expect_scripted "$1 $2" $lying_reading_ms "$3"
+}
+
+# expect_scripted NAME LIMIT-MS [WORD]: starts a check so that the brake's own misbehaviour meets it clamping. WORD must stand
+# in the reason.
+expect_scripted() {
   wait_until 10 "the fault can be cleared" clearable
   clear_fault
   brake_begin_s=$(awk -F, 'NR == 2 { print $1; exit }' "$trace")
@@ -33,9 +50,13 @@ scripted_fault() {
   cause_s=$(awk -v begin="$brake_begin_s" -v at="$at_s" 'BEGIN { printf "%.6f", begin + at }')
   clocks=$(cause kill 0 $$)
   clocks="$cause_s $(echo "$clocks" | awk -v cause="$cause_s" '{ printf "%.6f", $2 - $1 + cause }')"
-  expect_error "$clocks"
+  expect_error "$clocks" "$2"
+  case $reason in
+    *"${3:-}"*) ;;
+    *) fail "$name: the reason does not name $3: $reason" ;;
+  esac
   wait_until 10 "the fault can be cleared" clearable
-  expect_zero_torque "$cause_s" $zero_torque_ms
+  expect_zero_torque "$cause_s" "$2"
   recover
 }
 
@@ -86,7 +107,7 @@ stop_recording() {
   wait $candump_pid
 }
 
-# expect_error CLOCKS: what clampctl says, and that the station asked for no torque soon after the cause.
+# expect_error CLOCKS [LIMIT-MS]: what clampctl says, and that the station asked for no torque soon after the cause.
 expect_error() {
   expect_exit_code_3
   verdict=$(json_get "/tmp/$id.json" /verdict)
@@ -97,7 +118,7 @@ expect_error() {
   command_after /tmp/commands.log "${1#* }" >/tmp/command_after
   read -r after_ms driven_before </tmp/command_after
   [ "$driven_before" = 1 ] || fail "$name: no torque was asked for when the cause came; this proves nothing"
-  at_most "$name: the station's last command for torque, ms after the cause" "$after_ms" $zero_torque_ms
+  at_most "$name: the station's last command for torque, ms after the cause" "$after_ms" "${2:-$zero_torque_ms}"
 }
 
 expect_exit_code_3() {

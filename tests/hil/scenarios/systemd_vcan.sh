@@ -54,8 +54,9 @@ runs_as_it_should() {
   expect "it forbids deep sleep" quietly sh -c "ls -l /proc/$pid/fd | grep cpu_dma_latency"
   expect "systemd listens for it" property_is clampd.socket SubState running
   expect "a stranger reads the status" quietly runuser -u nobody -- clampctl status
-  runuser -u nobody -- clampctl stop >/tmp/stranger.out 2>&1 && fail "a stranger stopped the station"
-  echo "ok: and cannot stop the station: $(head -n 1 /tmp/stranger.out)"
+  expect "whoever stands at the machine stops it" quietly runuser -u nobody -- clampctl stop
+  runuser -u nobody -- clampctl run --serial STRANGER >/tmp/stranger.out 2>&1 && fail "a stranger moved the brake"
+  echo "ok: and cannot start a check: $(head -n 1 /tmp/stranger.out)"
 }
 
 checks_a_brake() {
@@ -167,7 +168,8 @@ removed() {
   expect "its socket is closed" [ -z "$(ss -Hltn 'sport = :8371')" ]
   expect "configuration and records stay" [ -s /etc/clampd/station.toml -a -s /var/lib/clampd/checks.sqlite ]
   expect "apt purges" apt purge clampd
-  getent passwd clampd && fail "its user is left"
+  expect "the records stay all the same, and their owner" [ -s /var/lib/clampd/checks.sqlite -a -n "$(getent passwd clampd)" ]
+  rm -r /var/lib/clampd
   find / -xdev -name '*clampd*' -not -path '/proc/*' -not -path '/sys/*' -not -path '/bench/*' -not -path '/tmp/*' \
     -not -path '/var/cache/apt/*' >/tmp/left
   [ ! -s /tmp/left ] || fail "left: $(tr '\n' ' ' </tmp/left)"

@@ -45,14 +45,31 @@ const Drivable& drivable(const std::string& manoeuvre) {
   return kAll.at(manoeuvre);
 }
 
-/// As wide as the paper's Table II and a little wider.
-BrakeParameters draw_brake(Draw& draw) {
+/// As wide as the paper's Table II and a little wider; `extreme`: a parameter lies at an end of its range as
+/// often as within it.
+BrakeParameters draw_brake(bool extreme, Draw& draw) {
   constexpr double kLower[kParameterCount] = {0.76, 0.88, 0.85, 0.85, 0.8, 0.85, 0.38};
   constexpr double kUpper[kParameterCount] = {1.05, 1.06, 1.8, 1.15, 2.5, 1.1, 1.2};
   BrakeParameters brake;
-  for (std::size_t i = 0; i < kParameterCount; ++i)
-    brake.theta[static_cast<Eigen::Index>(i)] *= draw.log_uniform(kLower[i], kUpper[i]);
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    double factor = draw.log_uniform(kLower[i], kUpper[i]);
+    if (extreme && draw.chance(0.5)) factor = draw.chance(0.5) ? kLower[i] : kUpper[i];
+    brake.theta[static_cast<Eigen::Index>(i)] *= factor;
+  }
   return brake;
+}
+
+/// From a soft loop to one about as stiff as its noise and delay allow.
+Feedback draw_feedback(Draw& draw) {
+  Feedback feedback;
+  feedback.position_Nm_rad = draw.log_uniform(1.0, 4.0);
+  feedback.velocity_Nm_s_rad = draw.log_uniform(0.02, 0.06);
+  if (draw.chance(0.5)) feedback.force_Nm_N = draw.log_uniform(5e-5, 5e-4);
+  if (draw.chance(1.0 / 3.0))
+    feedback.per_row = 10;
+  else
+    feedback.delay_rows = draw.integer(0, 2);
+  return feedback;
 }
 
 std::vector<std::string> draw_manoeuvres(bool reduced, Draw& draw) {
@@ -74,8 +91,9 @@ std::uint64_t mixed(std::uint64_t seed, std::uint64_t of) {
 }
 
 std::uint64_t seed_of(const Request& request) {
-  return mixed(request.seed,
-               static_cast<std::uint64_t>(request.kind) * 2 + static_cast<std::uint64_t>(request.generator));
+  return mixed(request.seed, static_cast<std::uint64_t>(request.kind) * 2 +
+                                 static_cast<std::uint64_t>(request.generator) +
+                                 (request.feedback ? 1000 : 0));
 }
 
 void name_runs(BlindSet& set) {
@@ -88,6 +106,7 @@ BlindSet simulate_independent(const Answer& answer) {
   Physics physics;
   physics.brake = answer.brake;
   physics.noise = answer.noise;
+  physics.feedback = answer.feedback;
   for (const HiddenEffect& effect : answer.effects) effect.onto_physics(physics);
   HiddenPlant plant(physics, mixed(seed_of(answer.request), 1));
   // Half of the rigs have no encoder.
@@ -155,10 +174,12 @@ std::vector<std::string_view> effect_names(bool on_list, Generator generator) {
 }
 
 Answer draw_answer(const Request& request) {
+  CLAMPD_ASSERT(!request.feedback || request.generator == Generator::Independent);
   Draw draw(seed_of(request));
   Answer answer;
   answer.request = request;
-  answer.brake = draw_brake(draw);
+  answer.brake = draw_brake(request.feedback, draw);
+  if (request.feedback) answer.feedback = draw_feedback(draw);
   answer.noise.sensors = {.force_N = draw.uniform(30.0, 75.0), .velocity_rad_s = draw.uniform(0.3, 1.5)};
   answer.noise.torque_Nm = draw.uniform(0.005, 0.014);
   answer.manoeuvres = draw_manoeuvres(request.reduced, draw);
@@ -238,6 +259,12 @@ std::string answer_json(const Answer& answer) {
   for (std::size_t i = 0; i < kParameterCount; ++i)
     json["parameters"][std::string(kParameterTable[i].name)] =
         answer.brake.theta[static_cast<Eigen::Index>(i)];
+  if (const Feedback& feedback = answer.feedback; feedback.is_on())
+    json["feedback"] = {{"position_Nm_rad", feedback.position_Nm_rad},
+                        {"velocity_Nm_s_rad", feedback.velocity_Nm_s_rad},
+                        {"force_Nm_N", feedback.force_Nm_N},
+                        {"per_row", feedback.per_row},
+                        {"delay_rows", feedback.delay_rows}};
   json["noise"] = {{"force_N", answer.noise.sensors.force_N},
                    {"velocity_rad_s", answer.noise.sensors.velocity_rad_s},
                    {"torque_Nm", answer.noise.torque_Nm}};

@@ -31,7 +31,10 @@ struct Request {
   Generator generator = Generator::Independent;
   std::uint64_t seed = 1;
   std::string effect = {};  ///< the (first) one to hide; empty: drawn
-  bool reduced = false;     ///< a random part of the runs, down to one
+  /// Whether a row's torque is computed from that row's readings, by a drive drawn at random around a brake
+  /// that often lies at the ends of its range; of the independent generator only.
+  bool feedback = false;
+  bool reduced = false;  ///< a random part of the runs, down to one
 };
 
 /// An effect as it was drawn.
@@ -50,6 +53,7 @@ struct Answer {
   Request request;
   std::vector<HiddenEffect> effects;
   BrakeParameters brake;
+  Feedback feedback;
   NoiseLevels noise;
   std::vector<std::string> manoeuvres;  ///< one a run, in chronological order
 };

@@ -3,12 +3,12 @@
 #include <cmath>
 #include <limits>
 
+#include "clampd/base/nan.hpp"
 #include "clampd/identify/extended_fit.hpp"
 
 namespace clampd::blind {
 namespace {
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// By an estimate fitted to the noise-free readings with the true noise; NaN if it is none.
 double nats_of(const std::vector<FitRun>& runs, const ExtendedEstimate& estimate) {

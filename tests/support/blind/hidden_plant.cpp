@@ -16,6 +16,9 @@ constexpr double kPi = std::numbers::pi;
 constexpr double kOpen_rad = 1.5;
 constexpr int kApproachRows = 120;
 constexpr int kRestRows = 30;
+constexpr std::size_t kPreparation = kApproachRows + kRestRows;
+constexpr double kTorqueLimit_Nm = 3.0;
+constexpr double kEncoder_rad = 1e-3;
 
 double relaxation_factor(double time_constant_s) {
   return time_constant_s > 0.0 ? -std::expm1(-kStep_s / time_constant_s) : 1.0;
@@ -67,6 +70,7 @@ Plan plan_for(const Run& trajectory, const ParameterVector& theta, double start_
 
 /// Value of a trace at a fractional index.
 double at(const std::vector<double>& trace, double index) {
+  if (trace.size() < 2) return trace.front();
   const double clamped = std::clamp(index, 0.0, static_cast<double>(trace.size() - 1));
   const auto whole = std::min(static_cast<std::size_t>(clamped), trace.size() - 2);
   const double part = clamped - static_cast<double>(whole);
@@ -349,21 +353,95 @@ void HiddenPlant::append(Trace& trace) const {
   trace.position_rad.push_back(motion_.position_rad);
 }
 
+/// What the sensors read at a row, but for noise and what comes after it.
+HiddenPlant::Sensed HiddenPlant::sensed(const Trace& trace, double row, double jitter_rows) const {
+  const auto late = [&](Channel channel) { return physics_.skewed == channel ? physics_.skew_samples : 0.0; };
+  const auto index = [&](double late_rows) { return (row + jitter_rows - late_rows) * kStepsPerRow; };
+  Sensed reading;
+  reading.velocity_rad_s = at(trace.velocity_rad_s, index(late(Channel::Velocity)));
+  reading.force_N = at(trace.force_N, index(late(Channel::Force)));
+  reading.position_rad = std::round(at(trace.position_rad, index(0.0)) / kEncoder_rad) * kEncoder_rad;
+  if (physics_.force_by_velocity_N != 0.0)
+    reading.force_N +=
+        std::copysign(physics_.force_by_velocity_N, reading.velocity_rad_s * physics_.force_by_velocity_N) *
+        std::pow(std::abs(reading.velocity_rad_s) / 100.0, physics_.force_by_velocity_power);
+  const double time_s = (row - static_cast<double>(kPreparation)) * kRow_s;
+  reading.force_N +=
+      physics_.force_offset_N + physics_.hum_N * std::sin(2.0 * kPi * physics_.hum_Hz * time_s + hum_phase_);
+  return reading;
+}
+
+/// What the plan wants of a row, and the torque that the nominal motion needs.
+struct HiddenPlant::Row {
+  double position_rad, velocity_rad_s, force_N;
+  double feed_forward_Nm;
+};
+
+/// What a controller knows of the state: the encoder, and an observer's velocity. Stiff enough to track, slow
+/// enough to bear the delay and an elastic shaft.
+double HiddenPlant::observer_torque_Nm(const Row& wanted) {
+  constexpr double kBandwidth = 110.0, kDamping = 0.8;
+  const double stiff = physics_.brake.fixed.inertia_kg_m2 * kBandwidth * kBandwidth;
+  const double damp = 2.0 * kDamping * physics_.brake.fixed.inertia_kg_m2 * kBandwidth;
+  const double seen_rad = std::round(motion_.position_rad / kEncoder_rad) * kEncoder_rad;
+  const double seen_rad_s =
+      motion_.velocity_rad_s + 0.25 * physics_.noise.sensors.velocity_rad_s * gaussian();
+  return wanted.feed_forward_Nm + stiff * (wanted.position_rad - seen_rad) +
+         damp * (wanted.velocity_rad_s - seen_rad_s);
+}
+
+/// From the readings of a row (a fraction: of an instant within one), which are noted where they are
+/// recorded.
+double HiddenPlant::feedback_torque_Nm(const Row& wanted, const Trace& trace, double row) {
+  const Feedback& feedback = physics_.feedback;
+  const double seen_row = std::max(0.0, row - feedback.delay_rows);
+  Sensed seen = sensed(trace, seen_row, 0.0);
+  double force_noise_N = physics_.noise.sensors.force_N * gaussian();
+  double velocity_noise_rad_s = physics_.noise.sensors.velocity_rad_s * gaussian();
+  if (row == std::floor(row)) {
+    force_noise_N_.push_back(force_noise_N);
+    velocity_noise_rad_s_.push_back(velocity_noise_rad_s);
+    force_noise_N = force_noise_N_[static_cast<std::size_t>(seen_row)];
+    velocity_noise_rad_s = velocity_noise_rad_s_[static_cast<std::size_t>(seen_row)];
+  }
+  return wanted.feed_forward_Nm + feedback.position_Nm_rad * (wanted.position_rad - seen.position_rad) +
+         feedback.velocity_Nm_s_rad * (wanted.velocity_rad_s - seen.velocity_rad_s - velocity_noise_rad_s) +
+         feedback.force_Nm_N * (wanted.force_N - seen.force_N - force_noise_N);
+}
+
+/// From a row to the next one; the mean torque.
+double HiddenPlant::drive_row(const Row& wanted, std::size_t row, Trace& trace) {
+  const int torques = physics_.feedback.is_on() ? physics_.feedback.per_row : 1;
+  const int steps = kStepsPerRow / torques;
+  double sum_Nm = 0.0;
+  for (int t = 0; t < torques; ++t) {
+    append(trace);
+    const double at_row = static_cast<double>(row) + static_cast<double>(t) / torques;
+    const double torque_Nm =
+        physics_.feedback.is_on() ? feedback_torque_Nm(wanted, trace, at_row) : observer_torque_Nm(wanted);
+    commanded_Nm_ = std::clamp(torque_Nm, -kTorqueLimit_Nm, kTorqueLimit_Nm);
+    sum_Nm += commanded_Nm_;
+    for (int i = 0; i < steps; ++i) {
+      step();
+      if (i + 1 < steps) append(trace);
+    }
+  }
+  return sum_Nm / torques;
+}
+
 HiddenPlant::Recording HiddenPlant::record(const Run& trajectory, int run) {
   const ParameterVector& theta = physics_.brake.theta;
   const double start_rad = uniform(-0.1, 0.15);
   const Plan plan = plan_for(trajectory, theta, start_rad);
   reset(-kOpen_rad, run);
-
-  // Stiff enough to track, slow enough to bear the delay and an elastic shaft.
-  constexpr double kBandwidth = 110.0, kDamping = 0.8, kTorqueLimit_Nm = 3.0, kEncoder_rad = 1e-3;
-  const double stiff = physics_.brake.fixed.inertia_kg_m2 * kBandwidth * kBandwidth;
-  const double damp = 2.0 * kDamping * physics_.brake.fixed.inertia_kg_m2 * kBandwidth;
+  force_noise_N_.clear();
+  velocity_noise_rad_s_.clear();
+  const bool sees_hum = physics_.feedback.is_on();
+  if (sees_hum) hum_phase_ = uniform(0.0, 2.0 * kPi);
 
   Recording recording;
   Trace trace;
   std::vector<double> torque_Nm;
-  constexpr std::size_t kPreparation = kApproachRows + kRestRows;
   for (std::size_t k = 0; k < plan.position_rad.size(); ++k) {
     time_s_ = (static_cast<double>(k) - static_cast<double>(kPreparation)) * kRow_s;
     if (physics_.friction_flip.step_Nm != 0.0 && uniform(0.0, 1.0) < kRow_s / physics_.friction_flip.dwell_s)
@@ -373,21 +451,11 @@ HiddenPlant::Recording HiddenPlant::record(const Run& trajectory, int run) {
     const double force_N = 0.5 * (plan.force_N[k] + plan.force_N[next]);
     const double ratio = v / theta[ws];
     const double dry = theta[TC] + (theta[Ts0] + theta[mus] * force_N - theta[TC]) / (1.0 + ratio * ratio);
-    // What a controller knows of the state: the encoder, and an observer's velocity.
-    const double seen_rad = std::round(motion_.position_rad / kEncoder_rad) * kEncoder_rad;
-    const double seen_rad_s =
-        motion_.velocity_rad_s + 0.25 * physics_.noise.sensors.velocity_rad_s * gaussian();
-    double torque =
+    const double feed_forward_Nm =
         physics_.brake.fixed.inertia_kg_m2 * 0.5 * (plan.acceleration[k] + plan.acceleration[next]) +
-        physics_.brake.fixed.ratio_m_rad * force_N + theta[Tv] * v + dry * std::tanh(v / 0.5) +
-        stiff * (plan.position_rad[k] - seen_rad) + damp * (plan.velocity_rad_s[k] - seen_rad_s);
-    commanded_Nm_ = torque = std::clamp(torque, -kTorqueLimit_Nm, kTorqueLimit_Nm);
-    torque_Nm.push_back(torque);
-    append(trace);
-    for (int i = 0; i < kStepsPerRow; ++i) {
-      step();
-      if (i + 1 < kStepsPerRow) append(trace);
-    }
+        physics_.brake.fixed.ratio_m_rad * force_N + theta[Tv] * v + dry * std::tanh(v / 0.5);
+    const Row wanted{plan.position_rad[k], plan.velocity_rad_s[k], plan.force_N[k], feed_forward_Nm};
+    torque_Nm.push_back(drive_row(wanted, k, trace));
     recording.force_max_N = std::max(recording.force_max_N, filtered_force_N_);
     recording.speed_max_rad_s = std::max(recording.speed_max_rad_s, std::abs(motion_.velocity_rad_s));
   }
@@ -396,27 +464,19 @@ HiddenPlant::Recording HiddenPlant::record(const Run& trajectory, int run) {
   Run& clean = recording.noise_free;
   Run& noisy = recording.readings;
   const std::size_t size = trajectory.size();
-  const auto late = [&](Channel channel) { return physics_.skewed == channel ? physics_.skew_samples : 0.0; };
-  const double hum_phase = uniform(0.0, 2.0 * kPi);
+  const double torque_late = physics_.skewed == Channel::Torque ? physics_.skew_samples : 0.0;
+  if (!sees_hum) hum_phase_ = uniform(0.0, 2.0 * kPi);
   for (std::size_t k = 0; k < size; ++k) {
     const double row = static_cast<double>(kPreparation + k);
     const double jitter =
         physics_.jitter_s > 0.0 ? std::clamp(physics_.jitter_s * gaussian() / kRow_s, -0.9, 0.9) : 0.0;
-    const double time_s = static_cast<double>(k) * kRow_s;
-    const double velocity = at(trace.velocity_rad_s, (row + jitter - late(Channel::Velocity)) * kStepsPerRow);
-    double force_N = at(trace.force_N, (row + jitter - late(Channel::Force)) * kStepsPerRow);
-    if (physics_.force_by_velocity_N != 0.0)
-      force_N += std::copysign(physics_.force_by_velocity_N, velocity * physics_.force_by_velocity_N) *
-                 std::pow(std::abs(velocity) / 100.0, physics_.force_by_velocity_power);
-    force_N +=
-        physics_.force_offset_N + physics_.hum_N * std::sin(2.0 * kPi * physics_.hum_Hz * time_s + hum_phase);
-    clean.time_s.push_back(time_s);
-    clean.torque_Nm.push_back((1.0 + physics_.torque_gain) * at(torque_Nm, row - late(Channel::Torque)) +
+    const Sensed reading = sensed(trace, row, jitter);
+    clean.time_s.push_back(static_cast<double>(k) * kRow_s);
+    clean.torque_Nm.push_back((1.0 + physics_.torque_gain) * at(torque_Nm, row - torque_late) +
                               physics_.torque_offset_Nm);
-    clean.velocity_rad_s.push_back(velocity);
-    clean.force_N.push_back(force_N);
-    clean.position_rad.push_back(
-        std::round(at(trace.position_rad, (row + jitter) * kStepsPerRow) / kEncoder_rad) * kEncoder_rad);
+    clean.velocity_rad_s.push_back(reading.velocity_rad_s);
+    clean.force_N.push_back(reading.force_N);
+    clean.position_rad.push_back(reading.position_rad);
   }
   if (physics_.outliers.share > 0.0) {
     std::vector<double>& values =
@@ -438,6 +498,11 @@ HiddenPlant::Recording HiddenPlant::record(const Run& trajectory, int run) {
   if (limit_N > 0.0 && physics_.saturation_before_noise) clip(noisy.force_N);
   for (std::size_t k = 0; k < size; ++k) {
     noisy.torque_Nm[k] += physics_.noise.torque_Nm * gaussian();
+    if (physics_.feedback.is_on()) {
+      noisy.velocity_rad_s[k] += velocity_noise_rad_s_[kPreparation + k];
+      noisy.force_N[k] += force_noise_N_[kPreparation + k];
+      continue;
+    }
     noisy.velocity_rad_s[k] += physics_.noise.sensors.velocity_rad_s * gaussian();
     noisy.force_N[k] += physics_.noise.sensors.force_N * gaussian();
   }

@@ -14,6 +14,18 @@ enum class Channel { Torque, Force, Velocity };
 enum class Bristles { Dahl, LuGre, ElastoPlastic };
 enum class Loop { SignLike, Exponential, BoucWen };  ///< how a hysteresis turns round
 
+/// A controller that computes the torque of a row from the readings of that very row, their noise included,
+/// as a drive does. Off (all gains zero) the plant's own controller follows an observer instead.
+struct Feedback {
+  double position_Nm_rad = 0.0;
+  double velocity_Nm_s_rad = 0.0;
+  double force_Nm_N = 0.0;
+  int per_row = 1;     ///< torques computed in a row; the recorded torque is their mean
+  int delay_rows = 0;  ///< the readings' age
+
+  bool is_on() const { return position_Nm_rad > 0.0; }
+};
+
 /// All physics that the hidden brake may have beside the base model, each neutral unless set. SI.
 struct Physics {
   BrakeParameters brake;
@@ -106,6 +118,7 @@ struct Physics {
     double length_s = 0.0;
   } dropouts;
 
+  Feedback feedback;
   NoiseLevels noise;  ///< torque: of its reading; the torque that acts is exact
 };
 
@@ -139,6 +152,10 @@ class HiddenPlant {
   struct Trace {  ///< of the sensors before noise, each step
     std::vector<double> force_N, velocity_rad_s, position_rad;
   };
+  struct Sensed {
+    double force_N = 0.0, velocity_rad_s = 0.0, position_rad = 0.0;
+  };
+  struct Row;
 
   void reset(double position_rad, int run);
   void step();
@@ -152,6 +169,10 @@ class HiddenPlant {
   double smooth_torque_Nm(const Motion& motion, double force_N) const;
   double asymmetry_Nm(double speed_rad_s) const;
   void append(Trace& trace) const;
+  Sensed sensed(const Trace& trace, double row, double jitter_rows) const;
+  double observer_torque_Nm(const Row& wanted);
+  double feedback_torque_Nm(const Row& wanted, const Trace& trace, double row);
+  double drive_row(const Row& wanted, std::size_t row, Trace& trace);
   double uniform(double low, double high);
   double gaussian() { return normal_(random_); }
 
@@ -169,6 +190,9 @@ class HiddenPlant {
   double commanded_Nm_ = 0.0, torque_Nm_ = 0.0;
   double filtered_force_N_ = 0.0, filtered_velocity_ = 0.0;
   double time_s_ = 0.0;  ///< since the run's first row
+  double hum_phase_ = 0.0;
+  /// Of the readings of each row, if the controller sees them; preparation included.
+  std::vector<double> force_noise_N_, velocity_noise_rad_s_;
   double warmth_ = 1.0;  ///< factor on TC and Tv
   bool flipped_ = false;
 };

@@ -53,6 +53,8 @@ int run(int argc, char** argv) {
   app.add_option("--kind", kind)->check(CLI::IsMember({"none", "single", "offlist", "pair"}));
   app.add_option("--generator", generator)->check(CLI::IsMember({"station", "independent"}));
   app.add_option("--effect", options.request.effect, "the effect to hide, instead of a drawn one");
+  app.add_flag("--feedback", options.request.feedback,
+               "a row's torque is computed from that row's readings (independent generator)");
   app.add_flag("--reduced", options.request.reduced, "a random part of the runs only");
   app.add_flag("--lambda", options.lambda, "print what is hidden and how detectable it is");
   CLI11_PARSE(app, argc, argv);
@@ -62,6 +64,10 @@ int run(int argc, char** argv) {
   if (options.request.kind == Kind::OffList && options.request.generator == Generator::Station) {
     fmt::print(stderr,
                "blind_sets: the station's brake has no effects off the list; use --generator independent\n");
+    return 2;
+  }
+  if (options.request.feedback && options.request.generator == Generator::Station) {
+    fmt::print(stderr, "blind_sets: the station has its own controller; use --generator independent\n");
     return 2;
   }
   if (!options.folder.empty()) {

@@ -1,0 +1,155 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "clampd/base/realtime.hpp"
+#include "clampd/base/result.hpp"
+#include "clampd/record/brake_port.hpp"
+#include "clampd/record/sample.hpp"
+#include "rt/nominal_drive.hpp"
+
+namespace clampd::rt {
+
+/// How far readings may contradict each other before one of them is taken for wrong. The defaults leave room
+/// for brakes wider than the paper's Table II, for the noisiest sensors that are supported, for sensors that
+/// lag by some milliseconds, and for the effects that a diagnosis can name at sizes that it meets in
+/// practice.
+struct ReadingTolerances {
+  double torque_Nm = 0.1;        ///< torque reading against the command, beside a fifth of either
+  double velocity_rad_s = 25.0;  ///< change of speed beyond what torque, load and friction can explain
+  double position_rad = 0.3;     ///< position against the integral of the velocity, beside 3 ms of motion
+  double force_N = 2500.0;       ///< force against compression, beside 5 ms of motion and a few percent
+
+  /// Error: a tolerance that is not positive and finite; the message names it.
+  Result<void> validate() const;
+};
+
+/// Whether the reading of a sensor with noise has stopped changing. How often a healthy one repeats itself is
+/// learned at rest; a sensor without noise may repeat itself for ever, and is judged by other means.
+class RepeatWatch {
+ public:
+  /// `learn`: the brake is at rest and the reading believed. True: the reading stands still though its
+  /// sensor's noise should move it.
+  CLAMPD_REALTIME bool repeats_too_often(double reading, bool learn) noexcept;
+  /// How many samples before this one read exactly the same.
+  CLAMPD_REALTIME int repeats() const noexcept { return repeats_; }
+
+ private:
+  double last_ = 0.0;
+  bool has_last_ = false;
+  int repeats_ = 0;
+  int learned_ = 0;  ///< samples at rest
+  int longest_ = 0;  ///< row of equal readings at rest
+};
+
+/// What a check knows about the brake on the bench.
+struct ReadingContext {
+  bool at_rest = false;        ///< the brake is known to rest unloaded: noise can be learned
+  bool stop_ahead = false;     ///< it opens and may be held by its open end stop
+  bool contact_known = false;  ///< and with it the next two
+  double contact_rad = 0.0;    ///< encoder, where the pads begin to touch
+  double force_zero_N = 0.0;   ///< force reading without force
+};
+
+/// Compares the readings of a driven brake with each other and with the torque that was commanded, and names
+/// the one that cannot be true. Bounds, not a model of this very brake: friction, stiffness and inertia may
+/// be anything that a brake of this product can have.
+///
+///   torque against command      the drive does within three commands what it was told
+///   velocity against torque     J v' = T - N F - Tf(F, v), with intervals for J, N, Tf; the same for the
+///   velocity that
+///                               the position's differences give
+///   position against velocity   dx = v dt
+///   force against position      dF within bounds of F'(x) dx; F within bounds of F(x) once contact is known
+///   standing still              a reading that repeats exactly while the brake moves, or while noise should
+///   move it
+///
+/// Each comparison accumulates what its bounds do not explain and forgets it slowly (CUSUM with a leak), so
+/// that one odd sample is no fault, but a contradiction is found within milliseconds. A contradiction between
+/// two readings is decided by the comparisons that involve only one of them.
+class ReadingMonitor {
+ public:
+  ReadingMonitor(const ReadingTolerances& tolerances, const NominalDrive& drive) noexcept
+      : tolerances_(tolerances), drive_(drive) {}
+
+  /// Forgets everything but the commands: a check begins.
+  CLAMPD_REALTIME void restart() noexcept;
+  /// What was sent in a tick.
+  CLAMPD_REALTIME void commanded(double torque_Nm) noexcept;
+
+  /// The next sample. None, or the cause that names the reading.
+  CLAMPD_REALTIME FaultCause observe(const BrakeFeedback& feedback, const ReadingContext& context) noexcept;
+
+ private:
+  struct Interval {
+    double lower = 0.0;
+    double upper = 0.0;
+  };
+
+  /// Accumulates how far a change lies outside of its bounds, to either side.
+  struct Excess {
+    double above = 0.0;
+    double below = 0.0;
+    void add(double change, const Interval& bounds, double keep) noexcept;
+    double larger() const noexcept { return above > below ? above : below; }
+  };
+
+  /// One velocity, read or differentiated, against the torque.
+  struct Momentum {
+    double before_rad_s = 0.0;
+    Excess excess_rad_s;
+    double level = 0.0;  ///< of the tolerance
+    double peak = 0.0;   ///< of level, forgotten slowly
+  };
+
+  static constexpr int kHistory = 4;
+
+  void begin_at(const BrakeFeedback& feedback) noexcept;
+  Interval torque_range() const noexcept;
+  double friction_Nm(double speed_rad_s, double force_N) const noexcept;
+  double slope_N_rad(double force_N) const noexcept;
+  double nominal_N(double compression_rad) const noexcept;
+  void compare_torque(double samples) noexcept;
+  void compare_momentum(Momentum& momentum, double velocity_rad_s, double elapsed_s,
+                        bool stop_ahead) noexcept;
+  void compare_position(const BrakeFeedback& feedback, double step_rad, double elapsed_s) noexcept;
+  void compare_force(const BrakeFeedback& feedback, double step_rad) noexcept;
+  void compare_compression(const BrakeFeedback& feedback, const ReadingContext& context) noexcept;
+  FaultCause verdict() const noexcept;
+  FaultCause position_or_velocity() const noexcept;
+  bool encoder_stands_still() const noexcept;
+
+  ReadingTolerances tolerances_;
+  NominalDrive drive_;
+
+  std::array<double, kHistory> commands_Nm_{};
+  std::array<double, kHistory> torques_Nm_{};  ///< readings, newest last
+  std::array<double, 5> forces_N_{};           ///< readings, newest last
+  double force_N_ = 0.0;                       ///< their median
+
+  bool has_previous_ = false;
+  BrakeFeedback previous_;
+  int settling_ = 0;  ///< samples until the histories are filled
+
+  double torque_excess_Nm_ = 0.0;     ///< beyond the commands' range, accumulated over samples
+  double position_excess_rad_ = 0.0;  ///< travel that the velocity does not explain
+  double common_speed_rad_s_ = 0.0;   ///< at which both readings say it moved lately
+  double force_rate_N_ = 0.0;         ///< change of force a sample that the motion explains, lately
+  double unanswered_N_ = 0.0;         ///< change of force that was due while the reading repeated
+  Excess force_excess_N_;
+  Momentum by_velocity_;
+  Momentum by_position_;
+  RepeatWatch velocity_repeats_;
+  RepeatWatch force_repeats_;
+  RepeatWatch position_repeats_;
+  bool velocity_stuck_ = false;
+  bool force_stuck_ = false;
+
+  double torque_level_ = 0.0;  ///< of the tolerances; 1 is a contradiction
+  double position_level_ = 0.0;
+  double force_level_ = 0.0;
+  double compression_level_ = 0.0;
+};
+
+}  // namespace clampd::rt

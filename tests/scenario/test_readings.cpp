@@ -1,0 +1,59 @@
+// One reading lies in each of these checks, in frames that are right; the true brake is what counts.
+
+#include <algorithm>
+#include <iostream>
+
+#include <gtest/gtest.h>
+
+#include "tests/scenario/reading_campaign.hpp"
+#include "tests/scenario/scenario.hpp"
+
+namespace clampd::scenario {
+namespace {
+
+TEST(SpoiledReadings, NoneHarmsAndTheWrongOneIsNamed) {
+  const SpoilCampaign campaign = run_spoil_campaign(420, 21);
+  print(std::cout, campaign);
+  for (const std::string& remark : campaign.remarks) std::cout << "  " << remark << '\n';
+  const SpoilTally& all = campaign.all;
+  EXPECT_EQ(all.unsafe, 0);
+  EXPECT_GE(all.named, 0.95 * all.faults);
+  EXPECT_LE(all.undetected, 0.02 * all.checks);
+  EXPECT_GT(all.faults, 0.8 * all.checks) << "or there was nothing to see";
+  EXPECT_LE(all.torque_after_fault_s, 0.0021) << "zero torque two samples after the one that shows it";
+}
+
+TEST(SpoiledReadings, AFrozenEncoderNeverRunsAway) {
+  const Reference reference = shipped_reference();
+  const rt::SupervisorSettings limits;
+  const double duration_s = drive_check(shipped_plant(), reference, 1).duration_s;
+  for (int i = 0; i < 60; ++i) {
+    sim::PlantConfiguration plant = shipped_plant();
+    plant.seed = static_cast<std::uint64_t>(i);
+    plant.spoiled = {{sim::Reading::Encoder, sim::Spoil::Frozen, 0.0, duration_s * i / 60.0}};
+    const CheckOutcome outcome = drive_check(plant, reference, 1);
+    EXPECT_NE(outcome.fault, FaultCause::None) << i;
+    EXPECT_LT(outcome.speed_max_rad_s, 1.2 * limits.speed_limit_rad_s) << i;
+    EXPECT_LT(outcome.force_max_N, 1.1 * limits.force_limit_N) << i;
+  }
+}
+
+/// The station wants more clearance than the brake has: it runs into its open end stop, and that is no lie.
+TEST(SpoiledReadings, ABrakeThatIsHeldByItsOpenEndStopHasTrueReadings) {
+  const Reference reference = shipped_reference();
+  for (std::uint64_t seed = 1; seed <= 20; ++seed) {
+    sim::PlantConfiguration plant = shipped_plant();
+    plant.seed = seed;
+    plant.clearance_rad = 3.0;
+    plant.open_stop_rad = 5.0;
+    EXPECT_EQ(drive_check(plant, reference, 1).fault, FaultCause::SequenceTimeout) << seed;
+  }
+}
+
+TEST(SpoiledReadings, HealthyBrakesOfAllSortsRaiseNoFault) {
+  const HealthyCampaign campaign = run_healthy_campaign(400, 7);
+  for (const std::string& fault : campaign.faults) ADD_FAILURE() << fault;
+}
+
+}  // namespace
+}  // namespace clampd::scenario
