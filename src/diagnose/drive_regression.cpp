@@ -3,10 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include <Eigen/Dense>
-#include <boost/math/distributions/fisher_f.hpp>
-
 #include "clampd/base/assert.hpp"
+#include "clampd/statistics/distributions.hpp"
+#include "clampd/statistics/symmetric.hpp"
 
 namespace clampd::drive {
 
@@ -29,7 +28,7 @@ Regression regress(const Eigen::MatrixXd& columns, const Eigen::VectorXd& target
   }
   Eigen::MatrixXd total = Eigen::MatrixXd::Zero(p, p);
   for (const Eigen::MatrixXd& each : gram) total += each;
-  const Eigen::MatrixXd inverse = total.ldlt().solve(Eigen::MatrixXd::Identity(p, p));
+  const Eigen::MatrixXd inverse = statistics::SymmetricFactor(total).inverse();
   const Eigen::VectorXd beta = inverse * (scaled.transpose() * target);
   result.residuals = target - scaled * beta;
   result.residual_square = result.residuals.squaredNorm();
@@ -46,10 +45,10 @@ Regression regress(const Eigen::MatrixXd& columns, const Eigen::VectorXd& target
   for (std::size_t b = 0; b < blocks; ++b) {
     meat.noalias() += score[b] * score[b].transpose();
     const Eigen::MatrixXd rest = total - gram[b];
-    const Eigen::LDLT<Eigen::MatrixXd> solver = rest.ldlt();
-    const Eigen::MatrixXd rest_inverse = solver.solve(Eigen::MatrixXd::Identity(p, p));
+    const statistics::SymmetricFactor factor(rest);
+    const Eigen::MatrixXd rest_inverse = factor.inverse();
     constexpr double kLostInformation = 30.0;
-    bool known = solver.info() == Eigen::Success && solver.isPositive() && rest_inverse.allFinite();
+    bool known = factor.is_positive() && rest_inverse.allFinite();
     for (Eigen::Index j = 0; known && j < p; ++j)
       known = rest_inverse(j, j) > 0.0 && rest_inverse(j, j) < kLostInformation * inverse(j, j);
     result.judged.push_back(known);
@@ -77,21 +76,19 @@ double Regression::evidence_of_last(int count) const {
   if (blocks <= count + 1) return 0.0;
   const Eigen::VectorXd tail = coefficients.tail(count);
   const Eigen::MatrixXd covariance = jackknife.bottomRightCorner(count, count);
-  const Eigen::LDLT<Eigen::MatrixXd> solver = covariance.ldlt();
-  if (!solver.isPositive()) return 0.0;
-  const double square = tail.dot(solver.solve(tail));
+  const statistics::SymmetricFactor factor(covariance);
+  if (!factor.is_positive()) return 0.0;
+  const double square = tail.dot(factor.solve(tail));
   if (!std::isfinite(square) || square <= 0.0) return 0.0;
   const double statistic = square * (blocks - count) / (count * (blocks - 1.0));
-  const boost::math::fisher_f_distribution<double> distribution(count, blocks - count);
-  return -std::log(std::max(1e-300, boost::math::cdf(boost::math::complement(distribution, statistic))));
+  return -std::log(std::max(1e-300, statistics::fisher_f_p_value(statistic, count, blocks - count)));
 }
 
 double share_of_its_own(const Eigen::MatrixXd& others, const Eigen::VectorXd& column) {
   const double square = column.squaredNorm();
   if (!(square > 0.0)) return 0.0;
   if (others.cols() == 0) return 1.0;
-  const Eigen::VectorXd rest = column - others * others.colPivHouseholderQr().solve(column);
-  return rest.squaredNorm() / square;
+  return statistics::left_of(others, column).squaredNorm() / square;
 }
 
 double effective_size(const Eigen::VectorXd& residuals) {

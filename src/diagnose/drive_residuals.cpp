@@ -8,9 +8,9 @@
 #include <string_view>
 
 #include <fmt/format.h>
-#include <boost/math/distributions/chi_squared.hpp>
 
 #include "clampd/base/nan.hpp"
+#include "clampd/statistics/distributions.hpp"
 
 namespace clampd::drive {
 
@@ -86,8 +86,7 @@ MisfitTest whiteness(const Eigen::VectorXd& residuals) {
     const double correlation = residuals.head(n - lag).dot(residuals.tail(n - lag)) / square;
     test.statistic += size * (size + 2.0) * correlation * correlation / (size - static_cast<double>(lag));
   }
-  const boost::math::chi_squared_distribution<double> distribution(static_cast<double>(kLags));
-  test.p_value = boost::math::cdf(boost::math::complement(distribution, test.statistic));
+  test.p_value = statistics::chi_squared_p_value(test.statistic, static_cast<double>(kLags));
   if (test.p_value < 0.01)
     test.words = "what is left of the torque has a memory; uncertainties count it in blocks of time";
   return test;

@@ -4,9 +4,8 @@
 #include <cmath>
 #include <limits>
 
-#include <Eigen/Dense>
-#include <boost/math/distributions/chi_squared.hpp>
 
+#include "clampd/statistics/distributions.hpp"
 #include "src/diagnose/drive_regression.hpp"
 
 namespace clampd::drive {
@@ -88,8 +87,7 @@ std::optional<Trial> trial_of(const std::vector<SteadyRun>& runs, double order) 
   }
   if (resolved < 3 || 2 * static_cast<std::size_t>(resolved) < runs.size()) return std::nullopt;
   // Fisher: of independent runs without this order, twice the sum is a chi-square of two each.
-  const boost::math::chi_squared_distribution<double> distribution(2.0 * resolved);
-  const double p = boost::math::cdf(boost::math::complement(distribution, 2.0 * log_p));
+  const double p = statistics::chi_squared_p_value(2.0 * log_p, 2.0 * resolved);
   return Trial{-std::log(std::max(1e-300, p)), gain, taken / variance,
                heldout_after < (1.0 - 0.01) * heldout_before};
 }

@@ -6,7 +6,8 @@
 #include <numeric>
 
 #include <fmt/format.h>
-#include <Eigen/Dense>
+
+#include "clampd/statistics/symmetric.hpp"
 
 namespace clampd::drive {
 
@@ -77,7 +78,7 @@ Smoothed smooth(std::span<const double> time_s, std::span<const double> x, int d
       gram.noalias() += weight * powers * powers.transpose();
       right += weight * (x[k] - x[i]) * powers;
     }
-    const Eigen::MatrixXd inverse = gram.topLeftCorner(terms, terms).inverse();
+    const Eigen::MatrixXd inverse = statistics::SymmetricFactor(gram.topLeftCorner(terms, terms)).inverse();
     const Eigen::VectorXd coefficients = inverse * right.head(terms);
     result.value[i] = x[i] + coefficients[0];
     result.first[i] = coefficients[1] / width;

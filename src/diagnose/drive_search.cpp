@@ -5,8 +5,9 @@
 #include <map>
 
 #include <fmt/format.h>
-#include <Eigen/Dense>
-#include <boost/math/distributions/students_t.hpp>
+
+#include "clampd/statistics/distributions.hpp"
+#include "clampd/statistics/symmetric.hpp"
 
 namespace clampd::drive {
 namespace {
@@ -258,9 +259,7 @@ class Search {
     // Either hardly any part is predicted worse, or the parts agree: an effect may act in few of them.
     if (lost < kMostLost * (sum + lost)) return true;
     const double variance = std::max(0.0, square - sum * sum / judged) * judged / (judged - 1.0);
-    const boost::math::students_t_distribution<double> student(judged - 1.0);
-    return sum >
-           boost::math::quantile(boost::math::complement(student, kChanceOfFolds)) * std::sqrt(variance);
+    return sum > statistics::student_t_upper_quantile(kChanceOfFolds, judged - 1.0) * std::sqrt(variance);
   }
 
   DriveSearchResult::Stage try_all(const std::vector<DriveTerm>& candidates) {
@@ -349,16 +348,14 @@ class Search {
     Eigen::VectorXd residual = without.residuals;
     std::vector<double> used;
     while (component.shape.size() < kMostOrders) {
-      const Eigen::HouseholderQR<Eigen::MatrixXd> decomposition(current);
-      const Eigen::MatrixXd basis =
-          decomposition.householderQ() * Eigen::MatrixXd::Identity(current.rows(), current.cols());
+      const Eigen::MatrixXd basis = statistics::orthonormal_basis(current);
       const auto explained = [&](const Eigen::MatrixXd& columns) {
         const Eigen::MatrixXd rest = columns - basis * (basis.transpose() * columns);
         const Eigen::VectorXd right = rest.transpose() * residual;
         const Eigen::MatrixXd gram = rest.transpose() * rest;
         for (Eigen::Index j = 0; j < gram.rows(); ++j)
           if (gram(j, j) < kLeastShareOfItsOwn * columns.col(j).squaredNorm()) return 0.0;
-        return right.dot(gram.ldlt().solve(right));
+        return right.dot(statistics::SymmetricFactor(gram).solve(right));
       };
       double best = 0.0;
       std::size_t at = 0;

@@ -6,8 +6,8 @@
 #include <limits>
 #include <numbers>
 
-#include <Eigen/Cholesky>
 
+#include "clampd/statistics/symmetric.hpp"
 #include "src/diagnose/evidence.hpp"
 #include "src/diagnose/look.hpp"
 
@@ -213,7 +213,7 @@ double known_strength(const Hypothesis& hypothesis, std::size_t effect) {
   const Eigen::MatrixXd known = covariance(places, places);
   const Eigen::VectorXd distance =
       Eigen::Map<const Eigen::VectorXd>(distances.data(), static_cast<Eigen::Index>(distances.size()));
-  const double nats = 0.5 * distance.dot(known.ldlt().solve(distance));
+  const double nats = 0.5 * distance.dot(statistics::SymmetricFactor(known).solve(distance));
   return std::isfinite(nats) ? nats : std::numeric_limits<double>::infinity();
 }
 

@@ -4,10 +4,10 @@
 #include <cmath>
 #include <functional>
 
-#include <Eigen/Cholesky>
 #include <Eigen/LU>
 
 #include "clampd/base/parallel.hpp"
+#include "clampd/statistics/symmetric.hpp"
 #include "src/diagnose/evidence.hpp"
 
 namespace clampd::diagnosing {
@@ -159,7 +159,7 @@ std::vector<Start> scan(const Orders& orders, const Effect& effect, const Signal
       Start& start = found[static_cast<std::size_t>(first + i)];
       start.values = {&effect, {0.0, 0.0, orders[first + i]}};
       if (information.determinant() > 1e-9 * information.trace() * information.trace()) {
-        const Eigen::Vector2d amplitude = information.ldlt().solve(score);
+        const Eigen::Vector2d amplitude = statistics::SymmetricFactor(information).solve(score);
         start.predicted_gain = 0.5 * score.dot(amplitude);
         for (std::size_t p = 0; p < 2; ++p)
           start.values.values[p] = std::clamp(amplitude[static_cast<Eigen::Index>(p)],

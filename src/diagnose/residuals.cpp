@@ -5,9 +5,9 @@
 #include <cmath>
 
 #include <fmt/format.h>
-#include <Eigen/Eigenvalues>
 
 #include "clampd/base/parallel.hpp"
+#include "clampd/statistics/symmetric.hpp"
 #include "src/diagnose/evidence.hpp"
 
 namespace clampd::diagnosing {
@@ -183,7 +183,7 @@ Correlation spread_against_rates(std::span<const FilteredRun> runs, std::span<co
     score += row * (squares[i] - mean);
   }
   information.diagonal().array() += 1e-9 * count;
-  return {score.dot(information.ldlt().solve(score)) / variance, 3.0};
+  return {score.dot(statistics::SymmetricFactor(information).solve(score)) / variance, 3.0};
 }
 
 /// Repeats of one manoeuvre: what they have in common against what they differ by. Needs no noise model.
@@ -383,12 +383,11 @@ Answer gain_of(const SignalScores& scores, Eigen::Index first, Eigen::Index coun
   if (told.empty()) return answer;
   const Eigen::MatrixXd information = scores.information(told, told);
   const Eigen::VectorXd scale = information.diagonal().cwiseSqrt();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(
-      information.cwiseQuotient(scale * scale.transpose()));
-  const Eigen::VectorXd along = solver.eigenvectors().transpose() * scores.score(told).cwiseQuotient(scale);
+  const statistics::Spectrum spectrum = statistics::spectrum_of(statistics::scaled_by(information, scale));
+  const Eigen::VectorXd along = spectrum.vectors.transpose() * scores.score(told).cwiseQuotient(scale);
   for (Eigen::Index i = 0; i < along.size(); ++i) {
-    if (!(solver.eigenvalues()[i] > kToldApart)) continue;
-    answer.gain += 0.5 * along[i] * along[i] / solver.eigenvalues()[i];
+    if (!(spectrum.values[i] > kToldApart)) continue;
+    answer.gain += 0.5 * along[i] * along[i] / spectrum.values[i];
     answer.degrees += 1.0;
   }
   return answer;

@@ -5,11 +5,11 @@
 #include <limits>
 
 #include <fmt/format.h>
-#include <Eigen/Cholesky>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/base/clock.hpp"
 #include "clampd/identify/parameter_scores.hpp"
+#include "clampd/statistics/symmetric.hpp"
 
 namespace clampd {
 
@@ -64,8 +64,7 @@ Eigen::MatrixXd information_of(const RivalModel& rival) {
   }
   Eigen::MatrixXd correlation = covariance.cwiseQuotient(deviation * deviation.transpose());
   correlation.diagonal().array() += kRidge;
-  const Eigen::MatrixXd inverse =
-      correlation.ldlt().solve(Eigen::MatrixXd::Identity(correlation.rows(), correlation.cols()));
+  const Eigen::MatrixXd inverse = statistics::SymmetricFactor(correlation).inverse();
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(size, size);
   information(known, known) = inverse.cwiseQuotient(deviation * deviation.transpose());
   return information;
@@ -79,10 +78,7 @@ void record_late(std::vector<double>& channel, int by, double before) {
 }
 
 double solve_for(const Eigen::MatrixXd& information, const Eigen::VectorXd& gradient, Eigen::VectorXd& step) {
-  const Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
-  Eigen::MatrixXd scaled = information.cwiseQuotient(scale * scale.transpose());
-  scaled.diagonal().array() += kRidge;
-  step = scaled.ldlt().solve(gradient.cwiseQuotient(scale)).cwiseQuotient(scale);
+  step = statistics::ScaledFactor(information, kRidge).solve(gradient);
   return 0.5 * gradient.dot(step);
 }
 

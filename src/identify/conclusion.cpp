@@ -6,11 +6,11 @@
 #include <optional>
 
 #include <fmt/format.h>
-#include <Eigen/Cholesky>
-#include <boost/math/distributions/chi_squared.hpp>
 
 #include "clampd/base/nan.hpp"
 #include "clampd/identify/validation.hpp"
+#include "clampd/statistics/distributions.hpp"
+#include "clampd/statistics/symmetric.hpp"
 #include "src/identify/uncertainty.hpp"
 
 namespace clampd {
@@ -38,9 +38,8 @@ bool runs_differ(const Uncertainty& uncertainty, const Held& held, std::size_t r
     if (held[static_cast<std::size_t>(i)]) expected(i, i) = 1.0;
   const double free = static_cast<double>(std::count(held.begin(), held.end(), false));
   const double degrees = static_cast<double>(runs - 1);
-  const double statistic = degrees * expected.ldlt().solve(uncertainty.covariance_over_runs).trace();
-  return statistic > boost::math::quantile(
-                         boost::math::complement(boost::math::chi_squared(degrees * free), kRunsDiffer));
+  const double statistic = degrees * statistics::SymmetricFactor(expected).solve_columns(uncertainty.covariance_over_runs).trace();
+  return statistic > statistics::chi_squared_upper_quantile(kRunsDiffer, degrees * free);
 }
 
 /// A parameter that the data do not determine, the worst first: no information, its bound reached, or a

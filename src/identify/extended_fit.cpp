@@ -6,12 +6,10 @@
 #include <numbers>
 #include <numeric>
 
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
-#include <Eigen/LU>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/identify/prediction_error.hpp"
+#include "clampd/statistics/symmetric.hpp"
 #include "src/identify/extended_run.hpp"
 #include "src/identify/minimiser.hpp"
 #include "src/identify/starting_point.hpp"
@@ -259,8 +257,7 @@ class ExtendedFit {
     for (std::size_t r = 0; r < runs_.size(); ++r) {
       const Eigen::MatrixXd& normal = now_.normals[r];
       step.segment(local(r), locals_) =
-          -normal.block(parameters_, parameters_, locals_, locals_)
-               .ldlt()
+          -statistics::SymmetricFactor(normal.block(parameters_, parameters_, locals_, locals_))
                .solve(normal.block(parameters_, parameters_ + locals_, locals_, 1) +
                       normal.block(parameters_, 0, locals_, parameters_) * move);
     }
@@ -306,10 +303,7 @@ class ExtendedFit {
   /// Directions that the data do not show at all are left alone.
   static Eigen::VectorXd solve(const Eigen::MatrixXd& information, const Eigen::VectorXd& gradient) {
     if (gradient.size() == 0) return gradient;
-    const Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
-    Eigen::MatrixXd scaled = information.cwiseQuotient(scale * scale.transpose());
-    scaled.diagonal().array() += 1e-10;
-    return scaled.ldlt().solve(gradient.cwiseQuotient(scale)).cwiseQuotient(scale);
+    return statistics::ScaledFactor(information, 1e-10).solve(gradient);
   }
 
   Part everything() const {
@@ -395,7 +389,7 @@ class ExtendedFit {
     return cost + log_determinant(block(locals, locals)) - log_determinant(block(others, others));
   }
   static double log_determinant(const Eigen::MatrixXd& matrix) {
-    return matrix.ldlt().vectorD().array().max(1e-300).log().sum();
+    return statistics::SymmetricFactor(matrix).log_determinant(1e-300);
   }
 
   std::span<const FitRun> runs_;
@@ -415,34 +409,30 @@ class ExtendedFit {
 
 Eigen::MatrixXd covariance_of(const ExtendedFit& fit, const ExtendedParameters& model) {
   const Reduced joint = fit.joint();
-  const Eigen::VectorXd scale = joint.information.diagonal().cwiseMax(1e-300).cwiseSqrt();
-  const Eigen::MatrixXd scaled = joint.information.cwiseQuotient(scale * scale.transpose());
   const int all = fit.all_parameters();
   Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(all, all);
   if (fit.parameters() == 0) return covariance;
-  const Eigen::LDLT<Eigen::MatrixXd> factor(scaled);
-  const bool determined = factor.info() == Eigen::Success && factor.vectorD().minCoeff() > 1e-10;
-  if (!determined) return Eigen::MatrixXd::Constant(all, all, std::numeric_limits<double>::quiet_NaN());
-  Eigen::MatrixXd inverse = factor.solve(Eigen::MatrixXd::Identity(scaled.rows(), scaled.cols()));
+  const statistics::ScaledFactor factor(joint.information);
+  if (!(factor.smallest_pivot() > 1e-10)) return Eigen::MatrixXd::Constant(all, all, std::numeric_limits<double>::quiet_NaN());
+  const Eigen::MatrixXd inverse = factor.inverse();
   for (int i = 0; i < fit.parameters(); ++i)
     for (int j = 0; j < fit.parameters(); ++j)
       covariance(fit.unknowns().parameter(i), fit.unknowns().parameter(j)) =
-          inverse(i, j) / (scale[i] * scale[j]) * fit.unknowns().slope(model, i) *
+          inverse(i, j) * fit.unknowns().slope(model, i) *
           fit.unknowns().slope(model, j);
   return covariance;
 }
 
 /// Of unknowns; also where the information is singular: what it does not tell has an infinite deviation.
 Eigen::VectorXd deviations_of(const Eigen::MatrixXd& information) {
-  const Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(
-      information.cwiseQuotient(scale * scale.transpose()));
+  const Eigen::VectorXd scale = statistics::deviations_of_diagonal(information);
+  const statistics::Spectrum spectrum = statistics::spectrum_of(statistics::scaled_by(information, scale));
   Eigen::VectorXd deviations(information.rows());
   for (Eigen::Index i = 0; i < information.rows(); ++i) {
     double variance = 0.0;
-    for (Eigen::Index j = 0; j < solver.eigenvalues().size(); ++j) {
-      const double share = solver.eigenvectors()(i, j) * solver.eigenvectors()(i, j);
-      if (share > 1e-12) variance += share / std::max(solver.eigenvalues()[j], 1e-14);
+    for (Eigen::Index j = 0; j < spectrum.values.size(); ++j) {
+      const double share = spectrum.vectors(i, j) * spectrum.vectors(i, j);
+      if (share > 1e-12) variance += share / std::max(spectrum.values[j], 1e-14);
     }
     deviations[i] =
         information(i, i) > 0.0 ? std::sqrt(variance) / scale[i] : std::numeric_limits<double>::infinity();
@@ -693,25 +683,24 @@ Eigen::MatrixXd covariance_over_runs(std::span<const FitRun> runs, const Extende
   if (fit.parameters() == 0 || !fit.renew(fit.start(), variances_of(estimate.noise)))
     return estimate.covariance;
   const Eigen::MatrixXd information = fit.joint().information;
-  const Eigen::VectorXd scale = information.diagonal().cwiseMax(1e-300).cwiseSqrt();
-  const Eigen::LLT<Eigen::MatrixXd> factor(information.cwiseQuotient(scale * scale.transpose()));
-  if (factor.info() != Eigen::Success) return estimate.covariance;
-  const auto lower = factor.matrixL();
+  const Eigen::VectorXd scale = statistics::deviations_of_diagonal(information);
+  const statistics::CholeskyFactor factor(statistics::scaled_by(information, scale));
+  if (!factor.is_positive()) return estimate.covariance;
   Eigen::MatrixXd scatter = Eigen::MatrixXd::Zero(information.rows(), information.cols());
   for (std::size_t r = 0; r < runs.size(); ++r) {
     const Reduced run = fit.reduced(r);
-    const Eigen::VectorXd score = lower.solve(run.gradient.cwiseQuotient(scale));
-    const Eigen::MatrixXd half = lower.solve(run.information.cwiseQuotient(scale * scale.transpose()));
-    const Eigen::MatrixXd share = lower.solve(half.transpose());
+    const Eigen::VectorXd score = factor.solve_lower(run.gradient.cwiseQuotient(scale));
+    const Eigen::MatrixXd half = factor.solve_lower(statistics::scaled_by(run.information, scale));
+    const Eigen::MatrixXd share = factor.solve_lower(half.transpose());
     // The fit has followed the run by its share of the information.
-    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> parts(share);
-    const Eigen::ArrayXd left = (1.0 - parts.eigenvalues().array()).max(kLeastLeft);
-    const Eigen::VectorXd by_parts = parts.eigenvectors().transpose() * score;
-    const Eigen::VectorXd own = parts.eigenvectors() * (by_parts.array() / left.sqrt()).matrix();
+    const statistics::Spectrum parts = statistics::spectrum_of(share);
+    const Eigen::ArrayXd left = (1.0 - parts.values.array()).max(kLeastLeft);
+    const Eigen::VectorXd by_parts = parts.vectors.transpose() * score;
+    const Eigen::VectorXd own = parts.vectors * (by_parts.array() / left.sqrt()).matrix();
     scatter += own * own.transpose();
   }
-  const Eigen::MatrixXd half = factor.matrixU().solve(scatter);
-  const Eigen::MatrixXd over_runs = factor.matrixU().solve(half.transpose());
+  const Eigen::MatrixXd half = factor.solve_upper(scatter);
+  const Eigen::MatrixXd over_runs = factor.solve_upper(half.transpose());
   Eigen::VectorXd larger = Eigen::VectorXd::Ones(estimate.covariance.rows());
   for (int i = 0; i < fit.parameters(); ++i) {
     const int at = fit.unknowns().parameter(i);
@@ -779,10 +768,7 @@ struct SignalScorer::Filtered {
     possible = fit.renew(fit.start(), variances_of(estimate.noise));
     if (!possible) return;
     joint = fit.joint();
-    scale = joint.information.diagonal().cwiseMax(1e-300).cwiseSqrt();
-    Eigen::MatrixXd scaled = joint.information.cwiseQuotient(scale * scale.transpose());
-    scaled.diagonal().array() += 1e-10;
-    factor.compute(scaled);
+    factor = statistics::ScaledFactor(joint.information, 1e-10);
   }
 
   std::span<const FitRun> runs;
@@ -790,8 +776,7 @@ struct SignalScorer::Filtered {
   ExtendedFit fit;
   bool possible = false;
   Reduced joint;
-  Eigen::VectorXd scale;  ///< of the parameters' information
-  Eigen::LDLT<Eigen::MatrixXd> factor;
+  statistics::ScaledFactor factor;  ///< of the parameters' information
 };
 
 SignalScorer::SignalScorer(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
@@ -824,16 +809,16 @@ SignalScores SignalScorer::score(const SignalColumns& signals, int blocks) const
     // Of parameters, locals and data with the signals; then the run's own initial state follows.
     const Eigen::MatrixXd products = linear.innovations * seen;
     const Eigen::MatrixXd local_products = products.middleRows(p, l);
-    const Eigen::MatrixXd solved = normal.block(p, p, l, l).ldlt().solve(local_products);
+    const Eigen::MatrixXd solved = statistics::SymmetricFactor(normal.block(p, p, l, l)).solve_columns(local_products);
     with_parameters += products.topRows(p) - normal.block(0, p, p, l) * solved;
     scores.alone += seen.colwise().squaredNorm().transpose();
     scores.score -= products.row(p + l).transpose() - solved.transpose() * normal.block(p, p + l, l, 1);
     in_blocks(seen, seen, 1.0);
     in_blocks(local_products, solved, -1.0);
   }
-  const Eigen::VectorXd& scale = filtered_->scale;
+  const Eigen::VectorXd& scale = filtered_->factor.scale();
   const Eigen::MatrixXd whitened = scale.cwiseInverse().asDiagonal() * with_parameters;
-  const Eigen::MatrixXd solved = filtered_->factor.solve(whitened);
+  const Eigen::MatrixXd solved = filtered_->factor.scaled().solve_columns(whitened);
   scores.score += solved.transpose() * filtered_->joint.gradient.cwiseQuotient(scale);
   in_blocks(whitened, solved, -1.0);
   return scores;

@@ -8,8 +8,6 @@
 #include <vector>
 
 #include <fmt/format.h>
-#include <Eigen/Eigenvalues>
-#include <boost/math/distributions/chi_squared.hpp>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/base/nan.hpp"
@@ -17,6 +15,8 @@
 #include "clampd/identify/parameter_scores.hpp"
 #include "clampd/identify/prediction_error.hpp"
 #include "clampd/identify/spikes.hpp"
+#include "clampd/statistics/distributions.hpp"
+#include "clampd/statistics/symmetric.hpp"
 #include "src/identify/conclusion.hpp"
 #include "src/identify/starting_point.hpp"
 
@@ -255,15 +255,13 @@ class Precision {
       Eigen::Index worst = 0;
       if (information.diagonal().minCoeff(&worst) > 0.0) {
         const Eigen::VectorXd scale = information.diagonal().cwiseSqrt();
-        const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> spectrum(
-            information.cwiseQuotient(scale * scale.transpose()));
-        if (spectrum.eigenvalues()[0] > kSingularExtended) {
-          const Eigen::MatrixXd directions = scale.cwiseInverse().asDiagonal() * spectrum.eigenvectors();
-          covariance_ =
-              directions * spectrum.eigenvalues().cwiseInverse().asDiagonal() * directions.transpose();
+        const statistics::Spectrum spectrum = statistics::spectrum_of(statistics::scaled_by(information, scale));
+        if (spectrum.values[0] > kSingularExtended) {
+          const Eigen::MatrixXd directions = scale.cwiseInverse().asDiagonal() * spectrum.vectors;
+          covariance_ = directions * spectrum.values.cwiseInverse().asDiagonal() * directions.transpose();
           return true;
         }
-        spectrum.eigenvectors().col(0).cwiseAbs().maxCoeff(&worst);
+        spectrum.vectors.col(0).cwiseAbs().maxCoeff(&worst);
       }
       set_aside(static_cast<std::size_t>(worst));
     }
@@ -342,8 +340,7 @@ class Precision {
     scatter_ = count / (count - 1.0) * covariance_ * squares * covariance_;
     const double statistic = count * (covariance_ * squares).trace();
     const double degrees = (count - 1.0) * static_cast<double>(size);
-    runs_differ_ = statistic > boost::math::quantile(
-                                   boost::math::complement(boost::math::chi_squared(degrees), kRunsDiffer));
+    runs_differ_ = statistic > statistics::chi_squared_upper_quantile(kRunsDiffer, degrees);
   }
 
   const Extension& extension_;

@@ -5,9 +5,9 @@
 #include <limits>
 #include <numbers>
 
-#include <Eigen/Cholesky>
 
 #include "clampd/base/assert.hpp"
+#include "clampd/statistics/symmetric.hpp"
 
 namespace clampd::identify {
 
@@ -413,11 +413,11 @@ void add_prior(std::span<const double> deviations, const Eigen::VectorXd& distan
 
 Reduced without_locals(const Eigen::MatrixXd& normal, int parameters, int locals) {
   const int data = parameters + locals;
-  const Eigen::LDLT<Eigen::MatrixXd> factor(normal.block(parameters, parameters, locals, locals));
+  const statistics::SymmetricFactor factor(normal.block(parameters, parameters, locals, locals));
   // Side by side: Eigen does not solve for no column at all, which a fit without parameters has.
   Eigen::MatrixXd followed(locals, parameters + 1);
   followed << normal.block(parameters, 0, locals, parameters), normal.block(parameters, data, locals, 1);
-  const Eigen::MatrixXd taken = followed.transpose() * factor.solve(followed);
+  const Eigen::MatrixXd taken = followed.transpose() * factor.solve_columns(followed);
   return {normal.topLeftCorner(parameters, parameters) - taken.topLeftCorner(parameters, parameters),
           normal.block(0, data, parameters, 1) - taken.topRightCorner(parameters, 1),
           normal(data, data) - taken(parameters, parameters)};

@@ -3,10 +3,10 @@
 #include <cmath>
 #include <limits>
 
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
+#include <Eigen/LU>
 
 #include "clampd/base/nan.hpp"
+#include "clampd/statistics/symmetric.hpp"
 #include "src/identify/linear_run.hpp"
 
 namespace clampd {
@@ -23,7 +23,7 @@ constexpr double kSingularInformation = 1e-10;
 struct ScaledSpectrum {
   ParameterVector
       scale;  ///< square roots of the diagonal; the spectrum is that of the matrix divided by them
-  Eigen::SelfAdjointEigenSolver<ParameterMatrix> solver;
+  statistics::Spectrum of_scaled;
   bool singular = true;
 };
 
@@ -31,10 +31,8 @@ ScaledSpectrum spectrum_of(const ParameterMatrix& information) {
   ScaledSpectrum spectrum;
   spectrum.scale = information.diagonal().cwiseMax(0.0).cwiseSqrt();
   if (!information.allFinite() || !(spectrum.scale.minCoeff() > 0.0)) return spectrum;
-  const ParameterVector inverse = spectrum.scale.cwiseInverse();
-  spectrum.solver.compute(inverse.asDiagonal() * information * inverse.asDiagonal());
-  spectrum.singular =
-      spectrum.solver.info() != Eigen::Success || !(spectrum.solver.eigenvalues()[0] > kSingularInformation);
+  spectrum.of_scaled = statistics::spectrum_of(statistics::scaled_by(information, spectrum.scale));
+  spectrum.singular = !spectrum.of_scaled.ok || !(spectrum.of_scaled.values[0] > kSingularInformation);
   return spectrum;
 }
 
@@ -77,22 +75,23 @@ ParameterMatrix initial_state_unknown(const JointInformation& joint) {
   initial(0, 0) += 1.0 / (kInitialPositionPrior_rad * kInitialPositionPrior_rad);
   initial(1, 1) += 1.0 / (kInitialVelocityPrior_rad_s * kInitialVelocityPrior_rad_s);
   const Eigen::Matrix<double, 2, kTheta> cross = joint.bottomLeftCorner<2, kTheta>();
-  return joint.topLeftCorner<kTheta, kTheta>() - cross.transpose() * initial.ldlt().solve(cross);
+  return joint.topLeftCorner<kTheta, kTheta>() - cross.transpose() * (initial.inverse() * cross);
 }
 
 double log_det(const ParameterMatrix& information) {
-  const Eigen::LLT<ParameterMatrix> factor(information);
-  if (!information.allFinite() || factor.info() != Eigen::Success)
+  const statistics::SymmetricFactor factor(information);
+  if (!information.allFinite() || !(factor.smallest_pivot() > 0.0))
     return -std::numeric_limits<double>::infinity();
-  return 2.0 * factor.matrixLLT().diagonal().array().log().sum();
+  return factor.log_determinant(0.0);
 }
 
 ParameterMatrix cramer_rao(const ParameterMatrix& information) {
   const ScaledSpectrum spectrum = spectrum_of(information);
   if (spectrum.singular) return ParameterMatrix::Constant(kNaN);
   const ParameterVector inverse = spectrum.scale.cwiseInverse();
-  const ParameterMatrix directions = inverse.asDiagonal() * spectrum.solver.eigenvectors();
-  return directions * spectrum.solver.eigenvalues().cwiseInverse().asDiagonal() * directions.transpose();
+  const ParameterMatrix directions = inverse.asDiagonal() * ParameterMatrix(spectrum.of_scaled.vectors);
+  const ParameterVector variances = spectrum.of_scaled.values.cwiseInverse();
+  return directions * variances.asDiagonal() * directions.transpose();
 }
 
 std::optional<Parameter> unidentifiable_parameter(const ParameterMatrix& information) {
@@ -100,7 +99,7 @@ std::optional<Parameter> unidentifiable_parameter(const ParameterMatrix& informa
   if (!spectrum.singular) return std::nullopt;
   Eigen::Index least = 0;
   if (spectrum.scale.minCoeff(&least) > 0.0 && information.allFinite())
-    spectrum.solver.eigenvectors().col(0).cwiseAbs().maxCoeff(&least);
+    spectrum.of_scaled.vectors.col(0).cwiseAbs().maxCoeff(&least);
   return static_cast<Parameter>(least);
 }
 

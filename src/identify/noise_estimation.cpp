@@ -4,8 +4,8 @@
 #include <array>
 #include <cmath>
 
-#include <Eigen/Cholesky>
 
+#include "clampd/statistics/symmetric.hpp"
 #include "src/identify/starting_point.hpp"
 
 namespace clampd::identify {
@@ -47,8 +47,8 @@ struct Posterior {
 };
 
 Posterior solve(const JointNormal& joint, const Held& held) {
-  const Eigen::LDLT<ParameterMatrix> factor(joint.information);
-  Posterior posterior{factor.solve(ParameterMatrix::Identity()), -factor.solve(joint.gradient)};
+  const statistics::SymmetricFactor factor(joint.information);
+  Posterior posterior{factor.inverse(), -factor.solve(joint.gradient)};
   for (int i = 0; i < kTheta; ++i)
     if (held[static_cast<std::size_t>(i)]) posterior.covariance(i, i) = 0.0;
   return posterior;
@@ -67,10 +67,9 @@ double restricted_likelihood(std::span<LinearRun> runs, std::span<const ReadingW
     sum += runs[r].log_determinant;
   }
   const JointNormal joint = eliminate_initial_states(normals, held);
-  const Eigen::LDLT<ParameterMatrix> factor(joint.information);
+  const statistics::SymmetricFactor factor(joint.information);
   // A direction that the runs do not show has no pivot; it then shows in no variance either.
-  const ParameterVector pivots = factor.vectorD().cwiseMax(1e-12);
-  return 0.5 * (sum + joint.log_determinant + pivots.array().log().sum() + joint.squares -
+  return 0.5 * (sum + joint.log_determinant + factor.log_determinant(1e-12) + joint.squares -
                 joint.gradient.dot(factor.solve(joint.gradient)));
 }
 
@@ -204,7 +203,7 @@ double minimise(RestrictedLikelihood& likelihood, const std::array<bool, 3>& fix
       for (int j = 0; j < 3; ++j)
         if (free[j] && j != i) scaled(i, j) = information(i, j) / (scale[i] * scale[j]);
     }
-    const Eigen::Vector3d direction = scaled.ldlt().solve(right);
+    const Eigen::Vector3d direction = statistics::SymmetricFactor(scaled).solve(right);
     const double tolerance = kDecrementEach * static_cast<double>(likelihood.runs());
     const double promised = direction.dot(right);
     if (promised < tolerance) break;

@@ -5,7 +5,9 @@
 #include <cmath>
 #include <vector>
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
+
+#include "clampd/statistics/symmetric.hpp"
 
 namespace clampd::identify {
 
@@ -84,7 +86,7 @@ bool fit_stiffness(std::span<const Run> runs, std::vector<double>& positions, Pa
       right += target.head<2>() - cross * target[2] / pivot;
       eliminated[r] << cross / pivot, target[2] / pivot, 0.0;
     }
-    const Eigen::Vector2d step = normal.ldlt().solve(right);
+    const Eigen::Vector2d step = statistics::SymmetricFactor(normal).solve(right);
     if (!step.allFinite()) return false;
     coefficients += unit.cwiseProduct(step);
     for (std::size_t r = 0; r < runs.size(); ++r) {
@@ -166,7 +168,7 @@ void fit_friction(const std::vector<Window>& windows, ParameterVector& theta) {
     Eigen::Vector4d present(theta[TC], theta[Ts0], theta[Tv], theta[mus]);
     present = present.cwiseQuotient(unit);
     const Eigen::Matrix4d damped = normal + ridge * Eigen::Matrix4d::Identity();
-    const Eigen::Vector4d solution = damped.ldlt().solve(right + ridge * present);
+    const Eigen::Vector4d solution = statistics::SymmetricFactor(damped).solve(right + ridge * present);
     const double misfit = square - 2.0 * right.dot(solution) + solution.dot(normal * solution);
     if (!solution.allFinite() || misfit >= best) continue;
     best = misfit;

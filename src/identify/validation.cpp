@@ -5,7 +5,8 @@
 #include <vector>
 
 #include <fmt/format.h>
-#include <boost/math/special_functions/gamma.hpp>
+
+#include "clampd/statistics/distributions.hpp"
 
 namespace clampd {
 
@@ -77,7 +78,7 @@ Portmanteau portmanteau(std::span<const double> residuals, int lags) {
     result.statistic += correlation * correlation / (count - lag);
   }
   result.statistic *= static_cast<double>(count) * (count + 2.0);
-  result.p_value = boost::math::gamma_q(0.5 * result.lags, 0.5 * result.statistic);
+  result.p_value = statistics::chi_squared_p_value(result.statistic, result.lags);
   return result;
 }
 

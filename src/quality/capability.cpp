@@ -4,11 +4,10 @@
 #include <cmath>
 #include <limits>
 
-#include <boost/math/distributions/chi_squared.hpp>
-#include <boost/math/distributions/normal.hpp>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/quality/constants.hpp"
+#include "clampd/statistics/distributions.hpp"
 
 namespace clampd::quality {
 namespace {
@@ -24,10 +23,9 @@ struct Scatter {
 CapabilityIndex potential(const Scatter& scatter, double width, double confidence) {
   if (!std::isfinite(width) || !(scatter.sd > 0.0)) return {kNone, kNone, kNone};
   const double value = width / (6.0 * scatter.sd);
-  const boost::math::chi_squared chi(scatter.freedom);
   const double tail = 0.5 * (1.0 - confidence);
   const auto factor = [&](double probability) {
-    return std::sqrt(boost::math::quantile(chi, probability) / scatter.freedom);
+    return std::sqrt(statistics::chi_squared_upper_quantile(1.0 - probability, scatter.freedom) / scatter.freedom);
   };
   return {value, value * factor(tail), value * factor(1.0 - tail)};
 }
@@ -39,7 +37,7 @@ CapabilityIndex actual(const Scatter& scatter, double mean, std::size_t n, doubl
   if (std::isfinite(upper)) margin = std::min(margin, upper - mean);
   if (!std::isfinite(margin) || !(scatter.sd > 0.0)) return {kNone, kNone, kNone};
   const double value = margin / (3.0 * scatter.sd);
-  const double z = boost::math::quantile(boost::math::normal(), 0.5 * (1.0 + confidence));
+  const double z = statistics::normal_quantile(0.5 * (1.0 + confidence));
   const double half =
       z * std::sqrt(1.0 / (9.0 * static_cast<double>(n)) + value * value / (2.0 * scatter.freedom));
   return {value, value - half, value + half};

@@ -1,8 +1,8 @@
 #include "clampd/quality/constants.hpp"
 
 #include <cmath>
+#include <numbers>
 
-#include <boost/math/distributions/normal.hpp>
 #include <boost/math/quadrature/gauss.hpp>
 #include <boost/math/special_functions/gamma.hpp>
 
@@ -15,7 +15,7 @@ using Gauss = boost::math::quadrature::gauss<double, 60>;
 constexpr double kFar = 8.5;  ///< standard deviations, beyond which nothing is left
 
 double phi(double x) {
-  return boost::math::cdf(boost::math::normal(), x);
+  return 0.5 * std::erfc(-x / std::numbers::sqrt2);
 }
 
 }  // namespace

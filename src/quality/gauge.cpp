@@ -4,9 +4,9 @@
 #include <cmath>
 
 #include <fmt/format.h>
-#include <boost/math/distributions/fisher_f.hpp>
 
 #include "clampd/quality/constants.hpp"
+#include "clampd/statistics/distributions.hpp"
 
 namespace clampd::quality {
 namespace {
@@ -135,8 +135,7 @@ AnovaRow row(const char* source, double freedom, double sum_of_squares) {
 void test_against(AnovaRow& tested, const AnovaRow& error) {
   if (!(error.mean_square > 0.0)) return;
   tested.f = tested.mean_square / error.mean_square;
-  tested.p = boost::math::cdf(
-      boost::math::complement(boost::math::fisher_f(tested.freedom, error.freedom), tested.f));
+  tested.p = statistics::fisher_f_p_value(tested.f, tested.freedom, error.freedom);
 }
 
 double range_of(const std::vector<double>& values) {

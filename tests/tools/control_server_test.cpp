@@ -65,12 +65,13 @@ class ToyStation final : public ControlTarget {
     return {};
   }
   control::CheckProgress progress(bool) override {
+    const std::lock_guard lock(mutex_);
     control::CheckProgress progress;
     progress.check = 7;
-    progress.id = id;
+    progress.id = id_;
     progress.repeats = 20;
-    progress.finished = !finished.empty();
-    if (progress.finished) progress.record = nlohmann::ordered_json::parse(finished);
+    progress.finished = !finished_.empty();
+    if (progress.finished) progress.record = nlohmann::ordered_json::parse(finished_);
     return progress;
   }
   Result<void> stop() override {
@@ -80,6 +81,7 @@ class ToyStation final : public ControlTarget {
   Result<void> clear() override { return failure("its cause is still there"); }
   Result<nlohmann::ordered_json> results(const CheckFilter& filter) override {
     wait_where_held();
+    const std::lock_guard lock(mutex_);
     asked = filter;
     return nlohmann::ordered_json::array();
   }
@@ -92,12 +94,20 @@ class ToyStation final : public ControlTarget {
     return nlohmann::ordered_json{{"of", wanted}, {"run", number}};
   }
   Result<nlohmann::ordered_json> statistics(const CheckFilter& filter) override {
+    const std::lock_guard lock(mutex_);
     asked = filter;
     return nlohmann::ordered_json::object();
   }
   nlohmann::ordered_json reference() override { return nlohmann::ordered_json::object(); }
   nlohmann::ordered_json live(std::uint64_t run, std::size_t row) override {
     return {{"run", run}, {"row", row}};
+  }
+
+  /// The check under way is this one from now on, and has ended with this record.
+  void finish(const std::string& id, const std::string& record) {
+    const std::lock_guard lock(mutex_);
+    id_ = id;
+    finished_ = record;
   }
 
   /// As a disk or a lock that somebody else has: whoever asks for something waits until it is let go.
@@ -120,8 +130,6 @@ class ToyStation final : public ControlTarget {
   CheckRequest asked_for;
   CheckFilter asked;
   std::atomic<bool> stopped{false};
-  std::string id = "id-7";  ///< of the check under way
-  std::string finished;     ///< its record
   bool opened = false;
   std::optional<std::uint64_t> seen;
 
@@ -135,6 +143,8 @@ class ToyStation final : public ControlTarget {
   }
 
   std::mutex mutex_;
+  std::string id_ = "id-7";
+  std::string finished_;
   std::condition_variable changed_;
   bool held_ = false;
   int waiting_ = 0;
@@ -217,15 +227,13 @@ TEST_F(ControlApi, NoOtherBrakesVerdictIsTakenForTheOneThatWasAskedFor) {
   const auto run = [&] {
     return support::run_command(std::string(CLAMPCTL) + " --config " + configuration + " run --serial A");
   };
-  station_.finished = R"({"serial":"A","record":"id-7","verdict":"PASS"})";
+  station_.finish("id-7", R"({"serial":"A","record":"id-7","verdict":"PASS"})");
   EXPECT_EQ(run().exit_code, 0) << "or this proves nothing";
-  station_.id = "id-8";
-  station_.finished = R"({"serial":"B","record":"id-8","verdict":"PASS"})";
+  station_.finish("id-8", R"({"serial":"B","record":"id-8","verdict":"PASS"})");
   const support::Outcome other = run();
   EXPECT_EQ(other.exit_code, 3) << other.output;
   EXPECT_THAT(other.output, HasSubstr("restarted or works on another check"));
-  station_.id = "id-7";
-  station_.finished = R"({"serial":"B","record":"id-7","verdict":"PASS"})";
+  station_.finish("id-7", R"({"serial":"B","record":"id-7","verdict":"PASS"})");
   EXPECT_EQ(run().exit_code, 3);
 }
 
