@@ -347,11 +347,46 @@ void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hyp
   weigh(candidate, hypothesis);
 }
 
+namespace {
+
+/// Whether one of the friction's parameters has moved far from where it was without the effect, or lies near the end of what is
+/// sensible: then the search may have followed a friction that had stood in for the effect.
+bool has_friction_moved(const Hypothesis& with, const Hypothesis& without) {
+  constexpr double kFar_sd = 10.0;
+  if (is_brake_impossible(with) || is_brake_impossible(without)) return true;
+  const ParameterVector& now = with.estimate.parameters.base.theta;
+  const ParameterVector& before = without.estimate.parameters.base.theta;
+  for (const std::size_t parameter : {TC, Ts0, Tv, mus, ws}) {
+    const auto i = static_cast<Eigen::Index>(parameter);
+    const double variance = with.estimate.covariance(i, i);
+    if (!(std::abs(now[i] - before[i]) < kFar_sd * std::sqrt(std::max(variance, 0.0)))) return true;
+  }
+  return false;
+}
+
+/// The effect as it was found, the friction from its nominal values: the friction of a model that lacks the effect has been bent to
+/// stand in for it, and a descent does not always find back.
+void from_another_friction(Candidate& candidate, const Hypothesis& hypothesis) {
+  if (!candidate.fitted.possible() || !has_friction_moved(candidate.fitted, hypothesis)) return;
+  Hypothesis elsewhere = hypothesis;
+  elsewhere.estimate =
+      without_effect(candidate.fitted.estimate, candidate.fitted.estimate.parameters.effects.size() - 1);
+  ParameterVector& theta = elsewhere.estimate.parameters.base.theta;
+  theta.tail<kParameterCount - 2>() = nominal_parameters().tail<kParameterCount - 2>();
+  const double wanted = candidate.fitted.log_likelihood() + kHelps_nats;
+  Hypothesis other = fitted_from({.values = candidate.fitted.estimate.parameters.effects.back()}, elsewhere, kModestTorque_Nm,
+                                 ExtendedFitOptions{}.max_iterations, Brake::Fitted, wanted);
+  if (other.possible() && other.log_likelihood() > wanted) candidate.fitted = std::move(other);
+}
+
+}  // namespace
+
 void finish(Candidate& candidate, const Hypothesis& hypothesis) {
   if (!candidate.fitted.possible()) return;
   Hypothesis settled = candidate.fitted;
   settle(settled);
   keep_if_better(std::move(settled), candidate.fitted);
+  from_another_friction(candidate, hypothesis);
   if (candidate.fitted.estimate.noise.torque_Nm > kSuspiciousTorque_Nm) {
     // From a filter that believes the torque: where its own noise hid the effect. As long as that helps.
     std::vector<EffectValues> from{candidate.fitted.estimate.parameters.effects.back()};

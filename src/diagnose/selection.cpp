@@ -211,6 +211,7 @@ class Selector {
     for_each_index(leading.size(), hypothesis.threads, [&](std::size_t i) {
       if (!given_up()) finish(candidates[leading[i]], hypothesis);
     });
+    follow_the_best(leading, hypothesis, candidates);
     for (Candidate& candidate : candidates)
       if (candidate.is_fitted && candidate.fitted.possible() && has(hypothesis, *candidate.effect) &&
           !is_harmonic(candidate.fitted.estimate.parameters.effects.back(), hypothesis))
@@ -232,6 +233,30 @@ class Selector {
     if (options_.progress) options_.progress(share, words);
   }
   bool given_up() const { return options_.given_up && options_.given_up(); }
+
+  /// A candidate that can do all that another can must not end below it, and one that is nearly the same should not end far
+  /// below it: whoever ended lower is fitted once more from the brake and the noise of the one that ended highest.
+  void follow_the_best(const std::vector<std::size_t>& leading, const Hypothesis& hypothesis,
+                       std::vector<Candidate>& candidates) const {
+    if (leading.size() < 2 || given_up()) return;
+    const std::size_t best = *std::max_element(leading.begin(), leading.end(), [&](std::size_t a, std::size_t b) {
+      return candidates[a].gain < candidates[b].gain;
+    });
+    const Candidate& highest = candidates[best];
+    if (!highest.fitted.possible()) return;
+    // Its runs are those that its own delays have moved: a candidate without delays begins from runs as the hypothesis has them.
+    Hypothesis there = hypothesis;
+    there.estimate = without_effect(highest.fitted.estimate, highest.fitted.estimate.parameters.effects.size() - 1);
+    for_each_index(leading.size(), hypothesis.threads, [&](std::size_t i) {
+      Candidate& candidate = candidates[leading[i]];
+      if (leading[i] == best || !candidate.fitted.possible() || given_up()) return;
+      if (!is_within_reach(candidate.gain, highest.gain, kLeading)) return;
+      const double reached = candidate.fitted.log_likelihood();
+      if (reached >= highest.fitted.log_likelihood()) return;
+      fit_from(candidate.fitted.estimate.parameters.effects.back(), there, hypothesis, candidate);
+      if (candidate.fitted.log_likelihood() > reached) finish(candidate, hypothesis);
+    });
+  }
 
   std::span<const Run> runs_;
   const SelectionOptions& options_;
