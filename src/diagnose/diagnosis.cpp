@@ -8,6 +8,7 @@
 #include <fmt/ranges.h>
 
 #include "clampd/base/parallel.hpp"
+#include "clampd/identify/residual_level.hpp"
 #include "clampd/identify/validation.hpp"
 #include "src/diagnose/evidence.hpp"
 #include "src/diagnose/gain.hpp"
@@ -285,13 +286,19 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
   selection.chosen.estimate.covariance =
       covariance_over_runs(selection.chosen.runs, selection.chosen.estimate, selection.chosen.threads);
   const bool is_something_left = something_left();
-  const bool is_misplaced = lost || much_left();
+  const ResidualLevel level = residual_level(runs, selection.chosen.estimate.noise);
+  const bool is_misplaced = lost || much_left() || level.far_above_noise;
   const bool is_unexplained = is_misplaced || (!selection.effects.empty() &&
                                                is_implausible(selection.chosen.estimate.parameters.base.theta,
                                                               options.nominal.theta));
 
   Diagnosis diagnosis;
   diagnosis.alarm_evidence = alarm_level(options.false_alarm);
+  if (level.far_above_noise)
+    diagnosis.notices.push_back(
+        fmt::format("no model explains these runs, the best one takes for noise what is none ({}): its "
+                    "numbers are no result",
+                    level.words));
   bool ambiguous = false;
   for (std::size_t e = 0; e < selection.effects.size(); ++e) {
     const Selected& selected = selection.effects[e];

@@ -26,6 +26,11 @@ using identify::Uncertainty;
 /// linear covariance itself means nothing any more.
 constexpr double kUndetermined = 3.0;
 
+/// With fewer degrees of freedom than the smaller the approximation means nothing, with more than the larger
+/// it changes nothing.
+constexpr double kFewestDegrees = 4.0;
+constexpr double kManyDegrees = 1e6;
+
 /// Probability of calling runs different that are not.
 constexpr double kRunsDiffer = 1e-3;
 
@@ -40,6 +45,23 @@ bool runs_differ(const Uncertainty& uncertainty, const Held& held, std::size_t r
   const double degrees = static_cast<double>(runs - 1);
   const double statistic = degrees * statistics::SymmetricFactor(expected).solve_columns(uncertainty.covariance_over_runs).trace();
   return statistic > statistics::chi_squared_upper_quantile(kRunsDiffer, degrees * free);
+}
+
+/// The covariance, its standard deviations as much larger as the torque's noise is uncertain that they rest
+/// on: value ± 1.96 of them is then the 95 % interval of Student's t with the degrees of freedom that Welch
+/// and Satterthwaite's formula gives (GUM, annex G.4). One run tells the torque's noise badly, and where it
+/// seems small by chance, all uncertainties do. The correlations stay.
+ParameterMatrix with_uncertain_noise(const Uncertainty& uncertainty, double torque_spread) {
+  ParameterVector factor = ParameterVector::Ones();
+  for (int i = 0; i < kTheta; ++i) {
+    const double variance = uncertainty.covariance(i, i);
+    const double by_torque = variance - uncertainty.covariance_exact_torque(i, i);
+    if (!(by_torque > 0.0 && torque_spread > 0.0)) continue;
+    const double share = by_torque / variance;
+    const double degrees = std::clamp(2.0 / (share * share * torque_spread), kFewestDegrees, kManyDegrees);
+    factor[i] = statistics::student_t_upper_quantile(0.025, degrees) / statistics::normal_quantile(0.975);
+  }
+  return factor.asDiagonal() * uncertainty.covariance * factor.asDiagonal();
 }
 
 /// A parameter that the data do not determine, the worst first: no information, its bound reached, or a
@@ -65,6 +87,12 @@ std::optional<Parameter> undetermined(const Uncertainty& uncertainty, const Para
     const double margin = 1e-3 * std::abs(value);
     if (!held[i] && (value < info.lower + margin || value > info.upper - margin))
       return static_cast<Parameter>(i);
+  }
+  // Numerically worthless: where an infinitesimal torque decides whether the brake sticks, sensitivities lose
+  // all digits.
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const auto k = static_cast<Eigen::Index>(i);
+    if (!held[i] && !(uncertainty.covariance(k, k) > 0.0)) return static_cast<Parameter>(i);
   }
   Eigen::Index vaguest = 0;
   if (uncertainty.covariance_exact_torque.diagonal().maxCoeff(&vaguest) > kUndetermined * kUndetermined &&
@@ -109,6 +137,8 @@ std::string_view to_string(Termination termination) noexcept {
       return "not identifiable";
     case Termination::NumericalFailure:
       return "numerical failure";
+    case Termination::Unexplained:
+      return "residual far above the noise";
   }
   return "unknown";
 }
@@ -134,8 +164,39 @@ Result<void> check_input(std::span<const Run> runs, const EstimatorOptions& opti
   return check_runs(runs);
 }
 
-void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& variances, bool settled,
-              const EstimatorOptions& options, Estimate& estimate) {
+ResidualLevel level_of(std::span<const Run> runs, const Estimate& estimate) {
+  if (estimate.method == Method::OutputError)
+    return residual_level(runs, {{estimate.force_rms_N, estimate.velocity_rms_rad_s}, 0.0});
+  // One-step predictions follow whatever the parameters are: what had to be taken for noise tells.
+  return residual_level(runs,
+                        {{estimate.noise_force_N, estimate.noise_velocity_rad_s}, estimate.noise_torque_Nm});
+}
+
+void withdraw(std::string why, Estimate& estimate) {
+  estimate.termination = Termination::Unexplained;
+  estimate.message = std::move(why);
+  estimate.parameters.theta.setConstant(kNaN);
+  for (ParameterMatrix* matrix :
+       {&estimate.covariance_normalised, &estimate.covariance_exact_torque, &estimate.covariance_over_runs})
+    matrix->setConstant(kNaN);
+  estimate.offset_sensitivity.setConstant(kNaN);
+  for (EffectEstimate& effect : estimate.effects) effect.value = effect.sd = kNaN;
+}
+
+void withdraw_unexplained(std::span<const Run> runs, Estimate& estimate) {
+  if (!std::isfinite(estimate.force_rms_N)) return;
+  const ResidualLevel level = level_of(runs, estimate);
+  if (level.far_above_noise)
+    withdraw(fmt::format("the prediction error method does not explain these runs, so that there is no "
+                         "result: it takes for "
+                         "noise what is none ({})",
+                         level.words),
+             estimate);
+}
+
+void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& variances,
+              double torque_spread, bool settled, const EstimatorOptions& options, Estimate& estimate) {
+  estimate.method = fit.uses_innovations() ? Method::PredictionError : Method::OutputError;
   estimate.parameters.theta = fit.theta_of(unknowns);
   estimate.noise_force_N = std::sqrt(variances.force);
   estimate.noise_velocity_rad_s = std::sqrt(variances.velocity);
@@ -175,8 +236,8 @@ void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& v
                     unknown));
   }
   estimate.runs_differ = runs_differ(uncertainty, options.held, fit.linear_runs().size());
-  estimate.covariance_normalised =
-      estimate.runs_differ ? uncertainty.covariance_over_runs : uncertainty.covariance;
+  estimate.covariance_normalised = estimate.runs_differ ? uncertainty.covariance_over_runs
+                                                        : with_uncertain_noise(uncertainty, torque_spread);
   estimate.covariance_exact_torque = uncertainty.covariance_exact_torque;
   estimate.covariance_over_runs = uncertainty.covariance_over_runs;
   estimate.offset_sensitivity = uncertainty.offset_sensitivity;

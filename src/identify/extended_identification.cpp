@@ -441,6 +441,7 @@ Estimate identify_extended(std::span<const Run> runs, const ExtendedParameters& 
   using namespace identify;
   const Stopwatch stopwatch;
   Estimate estimate = empty_estimate(options);
+  estimate.method = Method::PredictionError;
   const Result<void> valid =
       check_extended_options(options).and_then([&] { return check_input(runs, options); });
   if (!valid) {
@@ -479,6 +480,7 @@ Estimate identify_extended(std::span<const Run> runs, const ExtendedParameters& 
     estimate.termination = termination;
     estimate.message = std::move(message);
     estimate.wall_s = stopwatch.seconds();
+    withdraw_unexplained(runs, estimate);
     return estimate;
   };
   if (!found.possible)

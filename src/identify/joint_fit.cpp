@@ -18,6 +18,10 @@ namespace {
 constexpr double kHuberBend = 2.5;
 constexpr double kHuberSquare = 0.9876;
 
+/// A step changes a logarithmic parameter by no more than this: linearised far beyond where that holds, a
+/// first step can throw one next to zero, where its slope vanishes with it and nothing leads back.
+constexpr double kReach = 0.7;
+
 bool is_logarithmic(int parameter) {
   return parameter != static_cast<int>(k1);
 }
@@ -184,9 +188,20 @@ bool JointFit::evaluate(const double* unknowns) const {
   return true;
 }
 
+bool JointFit::is_within_reach(const double* unknowns) const {
+  if (anchor_.size() == 0) return true;
+  Eigen::Index next = 0;
+  for (int i = 0; i < kTheta; ++i) {
+    if (options_.held[static_cast<std::size_t>(i)]) continue;
+    if (is_logarithmic(i) && !(std::abs(unknowns[next] - anchor_[next]) <= kReach)) return false;
+    ++next;
+  }
+  return true;
+}
+
 bool JointFit::operator()(const double* unknowns, double* residuals, double* jacobian) const {
   Eigen::Map<Eigen::VectorXd> residual_rows(residuals, NumResiduals());
-  if (!evaluate(unknowns)) {
+  if (!is_within_reach(unknowns) || !evaluate(unknowns)) {
     residual_rows.setConstant(std::sqrt(kImpossible / NumResiduals()));
     if (jacobian != nullptr) Eigen::Map<Eigen::MatrixXd>(jacobian, NumResiduals(), NumParameters()).setZero();
     return true;

@@ -44,7 +44,13 @@ class JointFit {
 
   int NumParameters() const { return free_ + 2 * static_cast<int>(runs_.size()); }
   int NumResiduals() const { return (kUnknowns + 1) * static_cast<int>(runs_.size()); }
+  /// Impossible beyond kReach of where stay_near() was told.
   bool operator()(const double* unknowns, double* residuals, double* jacobian) const;
+  /// The solver's next steps begin here.
+  void stay_near(const Eigen::VectorXd& unknowns) { anchor_ = unknowns; }
+
+  /// After a held parameter's start value has changed in the options.
+  void forget() { invalidate(); }
 
   /// Unknowns at theta, each run at its guessed initial state; that guess is the centre of its weak prior.
   Eigen::VectorXd start_from(const ParameterVector& theta);
@@ -102,6 +108,7 @@ class JointFit {
   };
 
   bool evaluate(const double* unknowns) const;
+  bool is_within_reach(const double* unknowns) const;
   void weigh() const;
   void set_output_error_gains(Evaluation& evaluation);
   void invalidate();
@@ -113,6 +120,7 @@ class JointFit {
   std::vector<ReadingWeights> weights_;
   std::vector<Eigen::Vector2d> guesses_;
   bool innovations_ = false;
+  Eigen::VectorXd anchor_;
   /// The last evaluation and the one before: the solver comes back to the latter when a step was no good.
   mutable Evaluation now_, before_;
 };

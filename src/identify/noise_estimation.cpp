@@ -182,9 +182,9 @@ class RestrictedLikelihood {
 };
 
 /// Scoring from `values`, which end at the minimum; gives back the criterion there, where the runs' gains
-/// then are.
+/// then are. `torque_spread`: as in NoiseFit, by the curvature near there.
 double minimise(RestrictedLikelihood& likelihood, const std::array<bool, 3>& fixed, int max_iterations,
-                Eigen::Vector3d& values) {
+                Eigen::Vector3d& values, double& torque_spread) {
   double criterion = likelihood(values);
   bool at_values = true;
   bool settled = false;
@@ -203,7 +203,12 @@ double minimise(RestrictedLikelihood& likelihood, const std::array<bool, 3>& fix
       for (int j = 0; j < 3; ++j)
         if (free[j] && j != i) scaled(i, j) = information(i, j) / (scale[i] * scale[j]);
     }
-    const Eigen::Vector3d direction = statistics::SymmetricFactor(scaled).solve(right);
+    const statistics::SymmetricFactor factor(scaled);
+    const Eigen::Vector3d direction = factor.solve(right);
+    if (!fixed[2] && scale[2] > 0.0) {
+      const double deviation = 1.0 / (scale[2] * values[2]);
+      torque_spread = deviation * deviation * factor.solve(Eigen::Vector3d::UnitZ())[2];
+    }
     const double tolerance = kDecrementEach * static_cast<double>(likelihood.runs());
     const double promised = direction.dot(right);
     if (promised < tolerance) break;
@@ -238,8 +243,9 @@ NoiseFit estimate_noise(std::span<LinearRun> runs, std::span<const ReadingWeight
   Eigen::Vector3d values = vector_of(start);
   for (int i = 0; i < 3; ++i)
     if (!fixed[i]) values[i] = std::max(values[i], smallest(i));
-  const double criterion = minimise(likelihood, fixed, max_iterations, values);
-  return {variances_from(values), likelihood.white(), criterion};
+  double torque_spread = 0.0;
+  const double criterion = minimise(likelihood, fixed, max_iterations, values, torque_spread);
+  return {variances_from(values), likelihood.white(), criterion, torque_spread};
 }
 
 NoiseFit noise_of_output_errors(JointFit& fit, const EstimatorOptions& options) {

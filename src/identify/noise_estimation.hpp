@@ -23,7 +23,8 @@ struct NoiseFit {
   Variances variances;
   bool white = false;      ///< the innovations that are left, parameters refitted, do not hang together
   double criterion = 0.0;  ///< minus the restricted log-likelihood, less a constant
-  int iterations = 0;
+  /// Variance of the torque's variance, over its square: how well it is known. Zero where it was given.
+  double torque_spread = 0.0;
 };
 
 /// Restricted maximum likelihood for the variances of the noise, for runs linearised about some trajectory:

@@ -1,6 +1,7 @@
 #include "src/identify/output_error_search.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "src/identify/starting_point.hpp"
@@ -31,6 +32,16 @@ constexpr int kSmoothingIterations = 10;
 
 /// More torque noise than any drive has: a wrong minimum taken for noise.
 constexpr double kLargestTorque_Nm = 0.1;
+
+/// A gain in weighted squares, as of a step of one standard deviation, that the slopes promise at the end of
+/// a search: a kink with a lower minimum behind it.
+constexpr double kPromise = 1.0;
+
+/// Of its nominal value: a static friction that ran away to nothing is how most fits get lost.
+constexpr double kVanished = 0.05;
+
+/// Times nominal: the means of the paper's Table II, a brake after a long life.
+constexpr std::array<double, kParameterCount> kWorn{0.8, 0.9, 1.66, 0.93, 2.2, 1.05, 0.43};
 
 }  // namespace
 
@@ -73,6 +84,7 @@ OutputErrorAttempt OutputErrorSearch::attempt(const ParameterVector& theta) {
     result.weights.force *= std::pow(found.force / result.weights.force, share);
     result.weights.velocity *= std::pow(found.velocity / result.weights.velocity, share);
   }
+  result.promised = fit_.expected_decrease();
   const Eigen::Vector2d squares = fit_.mean_squares();
   const Variances found = known_or(squares);
   result.score = 0.5 * (squares[0] / found.force + squares[1] / found.velocity + std::log(found.force) +
@@ -126,23 +138,57 @@ ParameterVector OutputErrorSearch::filtered_start(const ParameterVector& theta) 
   return fit_.theta_of(unknowns);
 }
 
-std::vector<ParameterVector> OutputErrorSearch::other_starts() {
-  const ParameterVector by_equation_error =
-      equation_error_start(runs_, options_.start, {std::sqrt(seen_.force), std::sqrt(seen_.velocity)});
-  std::vector<ParameterVector> starts{filtered_start(options_.start.theta), by_equation_error,
-                                      filtered_start(by_equation_error), nominal_parameters(),
-                                      filtered_start(nominal_parameters())};
-  std::erase_if(starts, [](const ParameterVector& theta) { return !within_bounds(theta); });
-  for (ParameterVector& theta : starts)
-    for (int i = 0; i < kTheta; ++i)
-      if (options_.held[static_cast<std::size_t>(i)]) theta[i] = options_.start.theta[i];
-  return starts;
+ParameterVector revived(ParameterVector theta, const Held& held) {
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    double& value = theta[static_cast<Eigen::Index>(i)];
+    if (!held[i] && std::abs(value / kParameterTable[i].nominal) < kVanished)
+      value = kParameterTable[i].nominal;
+  }
+  return theta;
+}
+
+bool has_vanished(const ParameterVector& theta, const Held& held) {
+  return revived(theta, held) != theta;
+}
+
+bool OutputErrorSearch::doubtful(OutputErrorAttempt& attempt) {
+  if (attempt.promised > kPromise || poor(attempt)) return true;
+  const Eigen::Vector2d squares = fit_at(attempt).mean_squares();
+  return !plausible({squares[0], squares[1], 0.0}) ||
+         has_vanished(fit_.theta_of(attempt.unknowns), options_.held);
+}
+
+std::optional<ParameterVector> OutputErrorSearch::other_start(int index) {
+  const auto by_equation_error = [&]() -> const ParameterVector& {
+    if (!by_equation_error_)
+      by_equation_error_ =
+          equation_error_start(runs_, options_.start, {std::sqrt(seen_.force), std::sqrt(seen_.velocity)});
+    return *by_equation_error_;
+  };
+  // Where everything began at the nominal brake already, a worn one is the other brake that is likely.
+  const auto elsewhere = [&] {
+    ParameterVector theta = nominal_parameters();
+    if (is_nominal_start())
+      for (int i = 0; i < kTheta; ++i) theta[i] *= kWorn[static_cast<std::size_t>(i)];
+    return theta;
+  };
+  ParameterVector theta = index == 0   ? filtered_start(options_.start.theta)
+                          : index == 1 ? by_equation_error()
+                          : index == 2 ? filtered_start(by_equation_error())
+                          : index == 3 ? elsewhere()
+                                       : filtered_start(elsewhere());
+  if (!within_bounds(theta)) return std::nullopt;
+  for (int i = 0; i < kTheta; ++i)
+    if (options_.held[static_cast<std::size_t>(i)]) theta[i] = options_.start.theta[i];
+  return theta;
 }
 
 OutputErrorAttempt OutputErrorSearch::best(OutputErrorAttempt kept) {
   if (!poor(kept)) return kept;
-  for (const ParameterVector& start : other_starts()) {
-    OutputErrorAttempt other = attempt(start);
+  for (int i = 0; i < kOtherStarts; ++i) {
+    const std::optional<ParameterVector> start = other_start(i);
+    if (!start) continue;
+    OutputErrorAttempt other = attempt(*start);
     if (other.score < kept.score) kept = std::move(other);
     if (!poor(kept)) return kept;
   }

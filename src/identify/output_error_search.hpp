@@ -16,8 +16,16 @@ struct OutputErrorAttempt {
   /// Negative log-likelihood per row; infinite if the model cannot be simulated there.
   double score = std::numeric_limits<double>::infinity();
   std::optional<NoiseFit> noise;  ///< of readings and torque there, if it was looked for
+  double promised = 0.0;  ///< what the slopes there promise still to gain: at a kink, where they are wrong,
+                          ///< or before the end
   bool settled = false;           ///< neither cost nor noise changed any more before the iterations ran out
 };
+
+/// Whether a parameter that is to be estimated, and cannot be zero, has all but vanished.
+bool has_vanished(const ParameterVector& theta, const Held& held);
+
+/// The same brake with what has vanished as it is in the nominal one.
+ParameterVector revived(ParameterVector theta, const Held& held);
 
 /// The output error method's fits from several starts.
 class OutputErrorSearch {
@@ -29,10 +37,15 @@ class OutputErrorSearch {
   OutputErrorAttempt best(OutputErrorAttempt kept);
   /// From the given start only.
   OutputErrorAttempt first() { return attempt(options_.start.theta); }
-  /// Unlike starts, worst last, for what the given one cannot reach.
-  std::vector<ParameterVector> other_starts();
+  /// Unlike starts, worst last, for what the given one cannot reach. Nothing where `index` is not a sensible
+  /// brake.
+  static constexpr int kOtherStarts = 5;
+  std::optional<ParameterVector> other_start(int index);
   /// Neither white noise on the readings nor that with torque noise explains the residuals there.
   bool poor(OutputErrorAttempt& attempt);
+  /// Poor, or explained by torque noise only, which is blamed for a wrong minimum just as well, or beside a
+  /// parameter that has all but vanished: what other starts find is to be compared.
+  bool doubtful(OutputErrorAttempt& attempt);
   /// Finds attempt.noise.
   const NoiseFit& noise_at(OutputErrorAttempt& attempt);
   /// Of the readings; of the torque, a guess.
@@ -47,6 +60,7 @@ class OutputErrorSearch {
   OutputErrorAttempt attempt(const ParameterVector& theta);
   /// Near the right minimum, more often than not, from a start that is not.
   ParameterVector filtered_start(const ParameterVector& theta);
+  bool is_nominal_start() const { return options_.start.theta == nominal_parameters(); }
   Variances known_or(const Eigen::Vector2d& mean_squares) const;
 
   std::span<const Run> runs_;
@@ -54,7 +68,14 @@ class OutputErrorSearch {
   JointFit fit_;
   Minimiser minimise_;
   Variances seen_;  ///< without a model
+  std::optional<ParameterVector> by_equation_error_;
   int iterations_ = 0;
 };
+
+/// identify_output_error(), from the given start only or from others too where that is poor. `doubtful`, if
+/// it is wanted: as OutputErrorSearch tells; left alone where the runs or the options are refused.
+enum class Starts { GivenOnly, Several };
+Estimate output_error_estimate(std::span<const Run> runs, const EstimatorOptions& options, Starts starts,
+                               bool* doubtful);
 
 }  // namespace clampd::identify

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 
 #include "src/identify/conclusion.hpp"
 #include "src/identify/noise_estimation.hpp"
@@ -23,6 +24,10 @@ constexpr int kPredictionErrorUndampedRounds = 3;
 constexpr double kMostTorque_Nm = 0.03;  // twice the paper's
 constexpr int kMostRounds = 20;
 
+/// Two ends of a search are the same place if their likelihoods differ by less (nats): what settling leaves
+/// open.
+constexpr double kSamePlace = 1.0;
+
 /// Where the prediction error method ended from one start.
 struct Attempt {
   Eigen::VectorXd unknowns;
@@ -30,6 +35,7 @@ struct Attempt {
   double criterion = std::numeric_limits<double>::infinity();  ///< minus the restricted log-likelihood
   bool settled = false;
   bool white = false;  ///< the innovations
+  double torque_spread = 0.0;  ///< as in NoiseFit
 };
 
 KnownVariances known_by(const EstimatorOptions& options) {
@@ -51,12 +57,15 @@ class PredictionErrorSearch {
       const Descent descent = minimise_(fit_, result.unknowns, options_.max_iterations);
       iterations_ += descent.iterations;
       if (!descent.possible) return result;
+      // At a kink the slopes promise what is not there, and the noise would be estimated as if it were.
+      const double promised = fit_.expected_decrease();
       const double reweighted = fit_.update_weights();
       const NoiseFit found =
           estimate_noise(fit_.linear_runs(), fit_.weights(), fit_.prior_distances(), options_.held,
                          result.variances, known_by(options_), kScoringIterations);
-      result.criterion = found.criterion;
+      result.criterion = found.criterion + 0.5 * promised;
       result.white = found.white;
+      result.torque_spread = found.torque_spread;
       result.settled = descent.settled && reweighted < kPredictionErrorWeightTolerance &&
                        change_between(result.variances, found.variances, kNegligibleTorque) < kPredictionErrorNoiseTolerance;
       // Kinks of the filter can make the two answer each other for ever: then in ever smaller steps.
@@ -80,6 +89,22 @@ class PredictionErrorSearch {
   int iterations_ = 0;
 };
 
+/// The runs with what has vanished held where it is in the nominal brake: from there the others, which made
+/// up for it, lead to the right place once it is free again.
+Estimate with_vanished_held(std::span<const Run> runs, EstimatorOptions options,
+                            const ParameterVector& theta) {
+  const ParameterVector whole = revived(theta, options.held);
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const auto k = static_cast<Eigen::Index>(i);
+    if (whole[k] == theta[k]) continue;
+    options.held[i] = true;
+    options.start.theta[k] = whole[k];
+  }
+  if (std::find(options.held.begin(), options.held.end(), false) == options.held.end())
+    return empty_estimate(options);
+  return identify_prediction_error(runs, options);
+}
+
 }  // namespace
 
 }  // namespace identify
@@ -88,6 +113,7 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
   using namespace identify;
   const Stopwatch stopwatch;
   Estimate estimate = empty_estimate(options);
+  estimate.method = Method::PredictionError;
   if (const Result<void> valid = check_input(runs, options); !valid) {
     estimate.message = valid.error().message;
     return estimate;
@@ -96,7 +122,7 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
   OutputErrorAttempt warm = output_errors.first();
   JointFit& fit = output_errors.fit_at(warm);
   PredictionErrorSearch search(fit, options);
-  const bool lost = output_errors.poor(warm);
+  const bool doubtful = output_errors.doubtful(warm);
   Attempt best;
   if (std::isfinite(warm.score)) best = search.attempt(warm.unknowns, output_errors.noise_at(warm).variances);
   const auto good = [&](const Attempt& attempt) {
@@ -105,26 +131,37 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
   const auto consider = [&](Attempt&& other) {
     if (other.criterion < best.criterion) best = std::move(other);
   };
+  const auto alike = [&](const Attempt& a, const Attempt& b) {
+    return std::abs(a.criterion - b.criterion) < kSamePlace &&
+           !has_vanished(fit.theta_of(b.unknowns), options.held);
+  };
   // A filter can call almost any parameters good if only it believes in enough torque noise: the output
-  // errors from several starts say more. Where those got lost, as in slow motion under load, likelihood must
-  // choose.
-  bool all_lost = false;
-  if (lost) {
+  // errors from several starts say more. Where those got lost, as in slow motion under load, or are off by
+  // more than the readings' noise, likelihood must choose, until two unlike starts have met where it is best.
+  if (doubtful) {
     OutputErrorAttempt thorough = output_errors.best(std::move(warm));
-    all_lost = output_errors.poor(thorough);
     if (std::isfinite(thorough.score)) {
       const Variances noise = output_errors.noise_at(thorough).variances;
       // With more, the model does not follow the brake there either.
       if (noise.torque < kMostTorque_Nm * kMostTorque_Nm) consider(search.attempt(thorough.unknowns, noise));
     }
   }
-  if (all_lost || !good(best)) {
+  if (std::isfinite(best.criterion) && has_vanished(fit.theta_of(best.unknowns), options.held)) {
+    const Estimate others = with_vanished_held(runs, options, fit.theta_of(best.unknowns));
+    if (others.parameters.theta.allFinite())
+      consider(search.attempt(
+          fit.start_from(others.parameters.theta),
+          variances_of({{others.noise_force_N, others.noise_velocity_rad_s}, others.noise_torque_Nm})));
+  }
+  if (doubtful || !good(best)) {
     const Variances start = output_errors.variances_without_model();
-    for (const ParameterVector& theta : output_errors.other_starts()) {
-      Attempt other = search.attempt(fit.start_from(theta), start);
-      const bool enough = good(other);
+    for (int i = 0; i < OutputErrorSearch::kOtherStarts; ++i) {
+      const std::optional<ParameterVector> theta = output_errors.other_start(i);
+      if (!theta) continue;
+      Attempt other = search.attempt(fit.start_from(*theta), start);
+      const bool met = good(other) && good(best) && alike(other, best);
       consider(std::move(other));
-      if (enough) break;
+      if (met) break;
     }
   }
   estimate.iterations = output_errors.iterations() + search.iterations();
@@ -133,7 +170,7 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
     estimate.message =
         "the Kalman filter cannot follow the runs from any start: it diverges under their torque";
   else
-    conclude(fit, best.unknowns, best.variances, best.settled, options, estimate);
+    conclude(fit, best.unknowns, best.variances, best.torque_spread, best.settled, options, estimate);
   estimate.wall_s = stopwatch.seconds();
   return estimate;
 }

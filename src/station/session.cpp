@@ -19,6 +19,11 @@ namespace {
 constexpr std::uint32_t kMostRepeats = 200;
 constexpr std::size_t kLongestText = 80;
 
+constexpr std::string_view kUsePredictionErrors = "set method = \"pem\" under [check]";
+
+/// Another method is advised from such a gain in certainty on: half as many repeats would do.
+constexpr double kWorthAdvice = 0.7;
+
 std::string or_configured(const std::string& asked, const std::string& configured) {
   return asked.empty() ? configured : asked;
 }
@@ -135,6 +140,17 @@ ParameterVector tare_sd_normalised(const Estimate& joint, const Tare& tare) {
   return (joint.offset_sensitivity * offset_sd(tare).asDiagonal()).rowwise().norm();
 }
 
+namespace {
+
+/// Of the parameters, SI.
+ParameterVector sd_with_tare(const Estimate& joint, const Tare& tare) {
+  return (joint.covariance_normalised.diagonal() + tare_sd_normalised(joint, tare).cwiseAbs2())
+      .cwiseSqrt()
+      .cwiseProduct(nominal_parameters().cwiseAbs());
+}
+
+}  // namespace
+
 CheckSession::CheckSession(const StationConfiguration& configuration, const LimitSet& limits,
                            const CheckRequest& request, const CheckContext& context, Estimator estimator,
                            WorkerMode mode, Diagnoser diagnoser)
@@ -195,6 +211,25 @@ const Diagnosis* CheckSession::name_cause(CheckRecord& record) {
   record.cause = cause_of(*diagnosis_);
   if (record.cause) record.reason += " " + diagnosis_->summary;
   return &*diagnosis_;
+}
+
+/// Where parameters are too near their limits for their uncertainty: whether the prediction error method,
+/// tried on the same runs, knows one of them much better. `sd`: as judged, SI.
+std::string CheckSession::advice_on_method(const CheckRecord& record, const ParameterVector& sd) const {
+  const Estimate other =
+      identify_brake(Method::PredictionError, runs_of(record), estimator_options(configuration_));
+  if (!other.converged()) return {};
+  const ParameterVector other_sd = sd_with_tare(other, collector_.tare());
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const auto k = static_cast<Eigen::Index>(i);
+    if (record.parameters[i].verdict == ParameterVerdict::Marginal && other_sd[k] < kWorthAdvice * sd[k])
+      return fmt::format(
+          " The torque reading's noise makes the output error method so uncertain; by the prediction error "
+          "method {} "
+          "would be known to ± {:.2g} {} instead of ± {:.2g}: {}.",
+          record.parameters[i].name, other_sd[k], record.parameters[i].unit, sd[k], kUsePredictionErrors);
+  }
+  return {};
 }
 
 /// A brake fails for what it is, not for how it was read: where readings or timing are at fault, and with
@@ -264,13 +299,15 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   facts.tracking_rms_N = record.tracking_rms_N;
   facts.estimate_text = joint.message;
   facts.estimated = !record.runs.empty() && joint.converged();
+  facts.unexplained = joint.termination == Termination::Unexplained;
+  const bool by_output_errors =
+      configuration_.check.method == Method::OutputError && configuration_.check.model.empty();
+  if (facts.estimated && by_output_errors && joint.method == Method::PredictionError)
+    facts.other_method = fmt::format("No parameters could be identified as configured: {}: {}.",
+                                     joint.message, kUsePredictionErrors);
   if (facts.estimated) {
-    const ParameterVector nominal = nominal_parameters();
     facts.estimate = joint.parameters.theta;
-    facts.sd =
-        (joint.covariance_normalised.diagonal() + tare_sd_normalised(joint, collector_.tare()).cwiseAbs2())
-            .cwiseSqrt()
-            .cwiseProduct(nominal.cwiseAbs());
+    facts.sd = sd_with_tare(joint, collector_.tare());
     const ExpectedResidual expected = expected_residual(collector_.tare(), record.runs, configuration_.model,
                                                         configuration_.validity.torque_noise_Nm);
     facts.effects = with_tare_sd(joint.effects, collector_.tare());
@@ -289,9 +326,10 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   record.marginal = judgement.marginal;
   record.reason = std::move(judgement.reason);
   record.parameters = std::move(judgement.parameters);
+  if (judgement.undecided && by_output_errors) record.reason += advice_on_method(record, facts.sd);
   if (!configuration_.check.diagnose) return record;
   // Runs that nothing explains, or something else than the model, say nothing about limits: still an ERROR.
-  if (judgement.unexplained && name_cause(record) && !record.cause)
+  if (judgement.unexplained && name_cause(record) && !record.cause && facts.other_method.empty())
     record.reason +=
         " A diagnosis finds no cause but noise: is validity.torque_noise_Nm too low, or do the runs differ?";
   // An extended model already knows what is wrong with the readings.

@@ -97,6 +97,7 @@ std::string invalidity(const CheckFacts& facts, const LimitSet& limits, const Va
   if (!facts.problem.empty()) return fmt::format("A run cannot be used: {}.", facts.problem);
   if (facts.repeats_recorded < facts.repeats_planned)
     return fmt::format("Only {} of {} repeats were recorded.", facts.repeats_recorded, facts.repeats_planned);
+  unexplained = facts.unexplained;
   if (!facts.estimated || !facts.estimate.allFinite() || !facts.sd.allFinite() ||
       (facts.sd.array() < 0.0).any())
     return fmt::format("No parameters could be identified from the runs{}{}.",
@@ -105,6 +106,8 @@ std::string invalidity(const CheckFacts& facts, const LimitSet& limits, const Va
     if (!is_known(find_estimate(facts, limit)))
       return fmt::format("{}.{} could not be identified from the runs, so that it cannot be judged.",
                          limit.effect, limit.parameter);
+  unexplained = !facts.other_method.empty();
+  if (unexplained) return facts.other_method;
   const bool force = !(facts.misfit_force <= validity.misfit_max);
   const bool velocity = !(facts.misfit_velocity <= validity.misfit_max);
   unexplained = force || velocity;
@@ -160,6 +163,7 @@ Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValidityS
     return std::any_of(parameters.begin(), parameters.end(), predicate);
   };
 
+  judgement.undecided = !any(fails) && any(is_marginal);
   if (any(fails)) return decide(Verdict::Fail, false, describe_all(parameters, fails) + ".");
   if (any(undecidable)) {
     const ParameterRecord& worst = std::find_if(parameters.begin(), parameters.end(), undecidable)->record;

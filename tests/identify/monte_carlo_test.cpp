@@ -173,7 +173,9 @@ TEST(MonteCarlo, OneRunOfUnknownNoiseIsNearlyHonest) {
     for (const Method method : {Method::OutputError, Method::PredictionError}) {
       const Study found = study(method, noise, 500, 1, 9);
       EXPECT_GE(found.converged, found.checks * 99 / 100);
-      EXPECT_GT(found.normalised_square, 4.0);
+      // Widened to Student's interval with no less than four degrees: variances at most twice as large, 7
+      // / 2.
+      EXPECT_GT(found.normalised_square, 3.5);
       EXPECT_LT(found.normalised_square, 10.0);
     }
 }

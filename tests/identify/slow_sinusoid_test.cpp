@@ -98,7 +98,7 @@ TEST(SlowSinusoid, PredictionErrorsAreTenTimesBetterThanOutputErrors) {
       "mean over the parameters; normalised error squared %.1f\n",
       metric, mean, prediction_distance);
   EXPECT_GT(metric, 10.0);
-  EXPECT_GT(mean, 10.0);
+  EXPECT_GT(mean, 5.0);  // was above 10 before the output errors' first steps were shortened, which helps them too
   EXPECT_LT(prediction_distance, 15.0);
 }
 

@@ -320,6 +320,21 @@ TEST_P(Session, AFitThatDoesNotConvergeIsAnErrorWithItsReason) {
   EXPECT_TRUE(record.parameters.empty());
 }
 
+TEST_P(Session, WhereTheOutputErrorsGotLostTheOtherMethodIsAdvised) {
+  const Estimator lost = [](Runs runs, const EstimatorOptions& options) {
+    Estimate summary = finds(nominal_parameters())(runs, options);
+    summary.method = Method::PredictionError;
+    summary.message = "the output error method does not explain these runs";
+    return summary;
+  };
+  const CheckRecord record = check(samples, lost);
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_THAT(record.reason, HasSubstr("the output error method does not explain these runs"));
+  EXPECT_THAT(record.reason, HasSubstr("method = \"pem\""));
+  configuration.check.method = Method::PredictionError;
+  EXPECT_EQ(check(samples, lost).verdict, Verdict::Pass);
+}
+
 TEST_P(Session, ShowsItsProgress) {
   CheckSession session(configuration, limits, request, context, finds(nominal_parameters()), GetParam());
   EXPECT_EQ(session.progress().repeats, 3u);

@@ -68,10 +68,14 @@ nlohmann::ordered_json matrix_json(const ParameterMatrix& matrix) {
 nlohmann::ordered_json profile_json(const Profile& profile) {
   nlohmann::ordered_json points = nlohmann::ordered_json::array();
   for (const ProfilePoint& point : profile.points)
-    points.push_back({{"value", point.value}, {"deviance", number_or_null(point.deviance)}});
+    points.push_back({{"value", point.value},
+                      {"deviance", number_or_null(point.deviance)},
+                      {"converged", point.converged}});
   return {{"name", kParameterTable[profile.parameter].name},
           {"lower", number_or_null(profile.lower)},
           {"upper", number_or_null(profile.upper)},
+          {"converged", profile.converged},
+          {"message", profile.message},
           {"points", std::move(points)}};
 }
 
@@ -101,7 +105,7 @@ nlohmann::ordered_json identify_json(const Estimate& summary, const IdentifyOpti
   const ParameterVector nominal = nominal_parameters();
   const ParameterMatrix& covariance = summary.covariance_normalised;
   nlohmann::ordered_json document{{"schema", "clampd.identify/1"},
-                                  {"method", options.method},
+                                  {"method", to_string(summary.method)},
                                   {"runs", options.files.size()},
                                   {"converged", summary.converged()},
                                   {"termination", to_string(summary.termination)},
@@ -158,9 +162,9 @@ void print_table(const Estimate& summary, const IdentifyOptions& options,
   const ParameterMatrix& covariance = summary.covariance_normalised;
   const std::size_t runs = options.files.size();
   fmt::print("{} error method on {} run{}: {} ({} iterations, {:.1f} ms)\n",
-             options.method == "oem" ? "Output" : "Prediction", runs, runs == 1 ? "" : "s", summary.message,
-             summary.iterations, 1e3 * summary.wall_s);
-  if (!std::isfinite(summary.force_rms_N)) return;
+             summary.method == Method::OutputError ? "Output" : "Prediction", runs, runs == 1 ? "" : "s",
+             summary.message, summary.iterations, 1e3 * summary.wall_s);
+  if (!std::isfinite(summary.force_rms_N) || summary.termination == Termination::Unexplained) return;
   fmt::print("\n  {:<5} {:>12} {:>11}  {:<11} {:>11} {:>9}\n", "", "estimate", "± sd", "unit", "normalised",
              "± sd");
   for (Eigen::Index i = 0; i < nominal.size(); ++i) {
@@ -183,8 +187,8 @@ void print_table(const Estimate& summary, const IdentifyOptions& options,
   fmt::print("\n  noise: force {:.3g} N, velocity {:.3g} rad/s, torque {:.2g} N m\n", summary.noise_force_N,
              summary.noise_velocity_rad_s, summary.noise_torque_Nm);
   fmt::print("  {}: force {:.1f} N rms, velocity {:.3f} rad/s rms\n",
-             options.method == "oem" ? "residuals" : "one-step prediction errors", summary.force_rms_N,
-             summary.velocity_rms_rad_s);
+             summary.method == Method::OutputError ? "residuals" : "one-step prediction errors",
+             summary.force_rms_N, summary.velocity_rms_rad_s);
   if (summary.runs_differ)
     fmt::print(
         "  the runs differ from each other by more than this noise: the uncertainty is from their scatter\n");
@@ -200,7 +204,14 @@ void print_table(const Estimate& summary, const IdentifyOptions& options,
     fmt::print("\n  {} by profile likelihood, 95 %: {} ... {} {}\n", info.name, bound(profile.lower),
                bound(profile.upper), info.unit);
     for (const ProfilePoint& point : profile.points)
-      fmt::print("  {:>12.5g}  deviance {:.2f}\n", point.value, point.deviance);
+      fmt::print("  {:>12.5g}  deviance {:.2f}{}\n", point.value, point.deviance,
+                 point.converged ? "" : ", the fit of the others did not converge");
+    if (!profile.converged) fmt::print("  this interval cannot be relied on: {}\n", profile.message);
+    if (!std::isfinite(profile.lower) || !std::isfinite(profile.upper))
+      fmt::print("  the interval is not closed: these data do not bound {} {}\n", info.name,
+                 std::isfinite(profile.lower)   ? "from above"
+                 : std::isfinite(profile.upper) ? "from below"
+                                                : "at all");
   }
 }
 
@@ -261,7 +272,7 @@ int identify_files(IdentifyOptions options) {
     for (const Parameter parameter : to_profile) {
       progress.show(static_cast<double>(profiles.size()) / static_cast<double>(to_profile.size()),
                     fmt::format("profile of {}", kParameterTable[parameter].name));
-      profiles.push_back(profile_likelihood(parameter, method, runs, settings, summary));
+      profiles.push_back(profile_likelihood(parameter, summary.method, runs, settings, summary));
     }
   } else if (!to_profile.empty()) {
     cli::print_notice("no profile likelihood, since there is no estimate to start it from");
@@ -270,7 +281,9 @@ int identify_files(IdentifyOptions options) {
       !written)
     return cli::refuse(written.error());
   if (options.json != "-") print_table(summary, options, profiles);
-  return cli::kSuccess;
+  if (summary.termination != Termination::Unexplained) return cli::kSuccess;
+  cli::print_error(summary.message + "; `clampctl diagnose` looks for the cause");
+  return cli::kStation;
 }
 
 }  // namespace

@@ -12,6 +12,12 @@
 
 namespace clampd {
 
+/// How runs become parameters.
+enum class Method {
+  OutputError,      ///< identify_output_error(): the torque taken as exact while fitting
+  PredictionError,  ///< identify_prediction_error(): torque noise modelled
+};
+
 /// What a residual costs.
 enum class Loss {
   Squared,  ///< Gaussian noise; efficient
@@ -35,7 +41,14 @@ struct EstimatorOptions {
   Result<void> validate() const;
 };
 
-enum class Termination { Converged, IterationLimit, NotIdentifiable, NumericalFailure };
+enum class Termination {
+  Converged,
+  IterationLimit,
+  NotIdentifiable,
+  NumericalFailure,
+  Unexplained,  ///< what is left is far above the noise (ResidualLevel): no result, whatever the search ended
+                ///< at
+};
 std::string_view to_string(Termination termination) noexcept;
 
 /// d theta / theta_nom by an error common to all force readings (per N) and to all velocity readings (per
@@ -59,11 +72,15 @@ struct EffectEstimate {
 struct Estimate {
   Termination termination = Termination::NumericalFailure;
   std::string message;  ///< why it stopped, in words
+  /// By which the numbers were found; where the output error method got lost, not the one that was asked for.
+  Method method = Method::OutputError;
   int iterations = 0;
   double wall_s = 0.0;
   BrakeParameters parameters;
-  /// THE uncertainty, of theta / theta_nom: by the noise of the readings and of the torque; or, where the
-  /// runs differ from each other by significantly more than that, by their scatter (covariance_over_runs).
+  /// THE uncertainty, of theta / theta_nom: by the noise of the readings and of the torque, wider where the
+  /// torque's noise is itself uncertain (value ± 1.96 of its standard deviations is the 95 % interval); or,
+  /// where the runs differ from each other by significantly more than that, by their scatter
+  /// (covariance_over_runs).
   ParameterMatrix covariance_normalised;
   bool runs_differ = false;  ///< the latter: something changes from run to run
   /// The same if the torque reading were exact: the inverse of (14).

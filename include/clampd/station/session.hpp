@@ -103,6 +103,7 @@ class CheckSession {
  private:
   const Diagnosis* name_cause(CheckRecord& record);
   void question_failure(CheckRecord& record);
+  std::string advice_on_method(const CheckRecord& record, const ParameterVector& sd) const;
 
   StationConfiguration configuration_;
   LimitSet limits_;

@@ -26,6 +26,9 @@ struct CheckFacts {
   double tracking_rms_N = 0.0;
   bool estimated = false;               ///< the joint fit converged to an identifiable estimate
   std::string estimate_text;            ///< the estimator's own words
+  bool unexplained = false;             ///< there is none since no method explains the runs
+  /// Why the estimate is not the configured method's, and what to do; empty if it is.
+  std::string other_method;
   ParameterVector estimate;             ///< SI
   ParameterVector sd;                   ///< SI
   std::vector<EffectEstimate> effects;  ///< of an extended model, their sd with the tare's part
@@ -39,6 +42,7 @@ struct Judgement {
   std::string reason;                       ///< one sentence
   std::vector<ParameterRecord> parameters;  ///< empty where there is no estimate
   bool unexplained = false;                 ///< an ERROR since the model does not explain the runs
+  bool undecided = false;                   ///< a parameter is marginal or too uncertain to be judged
 };
 
 /// One value against its interval by guard band (JCGM 106): inside of both limits by more than k sd passes,
