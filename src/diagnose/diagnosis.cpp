@@ -58,13 +58,29 @@ Result<void> check(std::span<const Run> runs) {
   return check_runs(runs);
 }
 
-std::vector<EstimatedParameter> base_parameters(const ExtendedEstimate& estimate) {
+/// A standard deviation of so many times the nominal value says nothing; as where a brake is identified.
+constexpr double kUndetermined = 3.0;
+
+/// NaN where the runs do not determine a parameter.
+std::vector<EstimatedParameter> base_parameters(const Hypothesis& hypothesis) {
+  const ExtendedEstimate& estimate = hypothesis.estimate;
+  constexpr auto kCount = static_cast<Eigen::Index>(kParameterCount);
+  Eigen::VectorXd sds = Eigen::VectorXd::Constant(kCount, NAN);
+  if (estimate.covariance.rows() >= kCount) sds = estimate.covariance.diagonal().head(kCount).cwiseSqrt();
+  // A singular information has no inverse, but tells of some parameters all the same.
+  if (!sds.allFinite())
+    if (const StepForecast told = forecast(hypothesis.runs, estimate, hypothesis.threads);
+        told.sd.size() >= kCount)
+      sds = told.sd.head(kCount);
   std::vector<EstimatedParameter> list;
   for (std::size_t i = 0; i < kParameterCount; ++i) {
     const auto at = static_cast<Eigen::Index>(i);
+    const double theta = estimate.parameters.base.theta[at];
+    const double sd = sds[at];
+    // What the runs do not determine stays where the search began: this is no estimate.
+    const bool is_known = sd < kUndetermined * std::abs(kParameterTable[i].nominal);
     list.push_back({std::string(kParameterTable[i].name), std::string(kParameterTable[i].unit),
-                    estimate.parameters.base.theta[at],
-                    estimate.covariance.rows() > at ? std::sqrt(estimate.covariance(at, at)) : NAN});
+                    is_known ? theta : NAN, is_known ? sd : NAN});
   }
   return list;
 }
@@ -384,10 +400,10 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
   diagnosis.torque_while_off = torque_off;
   diagnosis.noise_before = base.estimate.noise;
   diagnosis.noise_after = selection.chosen.estimate.noise;
-  diagnosis.parameters_before = base_parameters(base.estimate);
+  diagnosis.parameters_before = base_parameters(base);
   // What no model explains makes no other form of one any likelier.
   diagnosis.parameters_after =
-      base_parameters((is_unexplained ? selection.chosen : averaged(selection)).estimate);
+      base_parameters(is_unexplained ? selection.chosen : averaged(selection));
   progress(0.96, "judging by runs held out");
   diagnosis.gain = held_out_gain(runs, heldout, base, selection.chosen, diagnosis.notices);
   if (options.views) diagnosis.views = views_of(runs, base, selection.chosen);

@@ -80,18 +80,23 @@ std::pair<double, double> ripple_of(const DriveRows& run, const Eigen::VectorXd&
           1.4826 * middle(speeds) / std::abs(median)};
 }
 
-GainFigures figures(const Fitted& model, double square, double torque_square, double count) {
+double variance_of(const Fitted& model) {
+  return model.regression.residual_square /
+         std::max(1.0, static_cast<double>(model.regression.residuals.size() - model.layout.count));
+}
+
+/// `best`: the model whose noise both are measured by.
+GainFigures figures(const Fitted& model, const Fitted& best, double square, double torque_square,
+                    double count) {
   GainFigures result;
   result.rms_force_N = result.rms_velocity_rad_s = kNaN;
   result.simulated_rms_force_N = result.simulated_rms_velocity_rad_s = kNaN;
-  const double variance =
-      model.regression.residual_square /
-      std::max(1.0, static_cast<double>(model.regression.residuals.size() - model.layout.count));
+  const double variance = variance_of(model);
   result.rms_torque_Nm = std::sqrt(square / count);
   result.torque_error_relative = std::sqrt(square / torque_square);
   result.log_likelihood_per_sample = -0.5 * std::log(2.0 * M_PI * variance) - 0.5 * square / count / variance;
   result.whiteness_p_value = whiteness(model.regression.residuals).p_value;
-  result.misfit = square / count / variance;
+  result.misfit = square / count / variance_of(best);
   return result;
 }
 
@@ -110,8 +115,8 @@ HeldOutGain heldout_gain(const Fitted& before, const Fitted& after, const DriveF
           .squaredNorm();
     };
     const auto count = static_cast<double>(target.size());
-    gain.before = figures(before, square(before), torque_square, count);
-    gain.after = figures(after, square(after), torque_square, count);
+    gain.before = figures(before, after, square(before), torque_square, count);
+    gain.after = figures(after, after, square(after), torque_square, count);
     return gain;
   }
   // Nothing to spare: one part left out after the other, the same parts before and after.
@@ -137,8 +142,8 @@ HeldOutGain heldout_gain(const Fitted& before, const Fitted& after, const DriveF
           torque_square += run.torque[i] * run.torque[i];
           count += 1.0;
         }
-    gain.before = figures(before, square_before, torque_square, count);
-    gain.after = figures(after, square_after, torque_square, count);
+    gain.before = figures(before, after, square_before, torque_square, count);
+    gain.after = figures(after, after, square_after, torque_square, count);
     notices.push_back(fmt::format(
         "no run was held out; the gain is judged by leaving out each of {} {} in turn", judged,
         fit.by_conditions() && conditions ? "combinations of direction and speed" : "parts of the runs"));

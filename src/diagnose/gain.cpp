@@ -26,7 +26,22 @@ Hypothesis on_runs(const Hypothesis& hypothesis, const std::vector<std::size_t>&
   return part;
 }
 
-GainFigures judge(const Hypothesis& trained, Hypothesis held) {
+/// Mean square innovation over what it would be by this noise.
+double misfit_by(const NoiseLevels& noise, Hypothesis held) {
+  held.estimate.noise = noise;
+  double squares = 0.0, count = 0.0;
+  const std::vector<FilteredRun> filtered = filter_runs(held.runs, held.estimate, held.threads);
+  for (std::size_t r = 0; r < filtered.size(); ++r)
+    for (std::size_t k = 0; k < held.runs[r].size(); ++k) {
+      if (held.runs[r].use_force[k]) squares += std::pow(filtered[r].force[k], 2), count += 1.0;
+      if (held.runs[r].use_velocity[k]) squares += std::pow(filtered[r].velocity[k], 2), count += 1.0;
+    }
+  return squares / count;
+}
+
+/// `noise`: what the misfit is measured by. Noise that a poorer model estimates takes up what it does not
+/// explain, so that by its own it would look as good as a better one.
+GainFigures judge(const Hypothesis& trained, Hypothesis held, const NoiseLevels& noise) {
   held.estimate.parameters = trained.estimate.parameters;
   held.estimate.noise = trained.estimate.noise;
   // Where a run starts is no property of the brake: it follows.
@@ -37,7 +52,7 @@ GainFigures judge(const Hypothesis& trained, Hypothesis held) {
   held.estimate = fit_extended(held.runs, held.estimate, starts_only);
   GainFigures figures;
   const std::vector<FilteredRun> filtered = filter_runs(held.runs, held.estimate, held.threads);
-  double force = 0.0, velocity = 0.0, forces = 0.0, velocities = 0.0, squares = 0.0, likelihood = 0.0;
+  double force = 0.0, velocity = 0.0, forces = 0.0, velocities = 0.0, likelihood = 0.0;
   double simulated_force = 0.0, simulated_velocity = 0.0;
   for (std::size_t r = 0; r < filtered.size(); ++r) {
     const FilteredRun& view = filtered[r];
@@ -47,13 +62,11 @@ GainFigures judge(const Hypothesis& trained, Hypothesis held) {
       if (run.use_force[k]) {
         force += std::pow(run.force_N[k] - view.predicted_force_N[k], 2);
         simulated_force += std::pow(run.force_N[k] - view.simulated_force_N[k], 2);
-        squares += view.force[k] * view.force[k];
         forces += 1.0;
       }
       if (run.use_velocity[k]) {
         velocity += std::pow(run.velocity_rad_s[k] - view.predicted_velocity_rad_s[k], 2);
         simulated_velocity += std::pow(run.velocity_rad_s[k] - view.simulated_velocity_rad_s[k], 2);
-        squares += view.velocity[k] * view.velocity[k];
         velocities += 1.0;
       }
     }
@@ -63,7 +76,7 @@ GainFigures judge(const Hypothesis& trained, Hypothesis held) {
   figures.simulated_rms_force_N = std::sqrt(simulated_force / forces);
   figures.simulated_rms_velocity_rad_s = std::sqrt(simulated_velocity / velocities);
   figures.log_likelihood_per_sample = likelihood / (0.5 * (forces + velocities));
-  figures.misfit = squares / (forces + velocities);
+  figures.misfit = misfit_by(noise, std::move(held));
   figures.whiteness_p_value = p_value_of(surprise_of_colour(filtered));
   return figures;
 }
@@ -122,9 +135,10 @@ std::optional<HeldOutGain> held_out_gain(std::span<const Run> runs, std::span<co
     held_base = on_runs(base, held);
     held_extended = on_runs(extended, held);
   }
-  gain.before = judge(trained_base, held_base);
-  gain.after =
-      extended.estimate.parameters.effects.empty() ? gain.before : judge(trained_extended, held_extended);
+  const NoiseLevels noise = trained_extended.estimate.noise;
+  gain.before = judge(trained_base, held_base, noise);
+  gain.after = extended.estimate.parameters.effects.empty() ? gain.before
+                                                            : judge(trained_extended, held_extended, noise);
   return gain;
 }
 

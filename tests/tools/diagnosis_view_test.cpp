@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <regex>
 #include <string>
 #include <variant>
@@ -214,6 +215,24 @@ TEST(DiagnosisText, NamesRivalsAndWhatWouldSettleThem) {
               AllOf(StartsWith("AMBIGUOUS"), HasSubstr("force-lag or pad-relaxation\n"),
                     HasSubstr("to settle it: a hold of 0.4 s at 20 kN tells creep from lag"),
                     Not(HasSubstr("Cause"))));
+}
+
+TEST(DiagnosisText, AnUnexplainedResultNamesNoCause) {
+  Diagnosis diagnosis = rippling_brake();
+  diagnosis.verdict = DiagnosisVerdict::Unexplained;
+  const std::string text = diagnosis_text(diagnosis, kBrake, false);
+  EXPECT_EQ(text.find("Cause"), std::string::npos) << text;
+  EXPECT_EQ(text.find(words::cause("cogging")), std::string::npos) << text;
+  EXPECT_THAT(text, HasSubstr("Tried, and not enough\n  cogging\n"));
+  EXPECT_TRUE(diagnosis_json(diagnosis, kBrake)["effects"][0]["cause"].is_null());
+}
+
+TEST(DiagnosisText, AParameterThatTheRunsDoNotShowHasNoValue) {
+  Diagnosis diagnosis = rippling_brake();
+  for (std::vector<EstimatedParameter>* list : {&diagnosis.parameters_before, &diagnosis.parameters_after})
+    list->front().value = list->front().sd = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_THAT(diagnosis_text(diagnosis, kBrake, false), HasSubstr("not identifiable"));
+  EXPECT_TRUE(diagnosis_json(diagnosis, kBrake)["parameters_after"][0]["value"].is_null());
 }
 
 TEST(DiagnosisText, HasColoursOnlyWhereTheyAreWanted) {

@@ -37,10 +37,11 @@ ordered_json parameters_json(const std::vector<EstimatedParameter>& parameters) 
   });
 }
 
-ordered_json effect_json(const NamedEffect& effect) {
+/// An unexplained result names no cause: its effects were tried and are not enough.
+ordered_json effect_json(const NamedEffect& effect, bool explains) {
   return {{"name", effect.name},
           {"location", to_string(effect.location)},
-          {"cause", words::cause(effect.name)},
+          {"cause", explains ? ordered_json(words::cause(effect.name)) : ordered_json(nullptr)},
           {"parameters", parameters_json(effect.parameters)},
           {"evidence",
            {{"log_likelihood_gain", number_or_null(effect.log_likelihood_gain)},
@@ -144,7 +145,10 @@ ordered_json diagnosis_json(const Diagnosis& diagnosis, const DiagnosisSubject& 
           {"summary", diagnosis.summary},
           {"runs", subject.runs},
           {"units", {{"position", subject.position_unit}, {"torque", subject.torque_unit}}},
-          {"effects", list_of(diagnosis.effects, effect_json)},
+          {"effects", list_of(diagnosis.effects,
+                              [&](const NamedEffect& effect) {
+                                return effect_json(effect, words::explains(diagnosis));
+                              })},
           {"rivals", diagnosis.rivals},
           {"unseen", list_of(diagnosis.unseen, [](const UnseenEffect& effect) { return effect.name; })},
           {"unseen_reasons", list_of(diagnosis.unseen,

@@ -120,9 +120,12 @@ void add_result(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
   std::vector<std::pair<std::string, std::string>> entries{{"Verdict", verdict_in_words(diagnosis)}};
   for (const NamedEffect& effect : diagnosis.effects)
     if (!words::has_rivals(diagnosis, effect.name))
-      entries.emplace_back("Cause: " + effect.name,
-                           typographic(fmt::format("{} {}", sentence(words::cause(effect.name)),
-                                                   sentence(words::quantities(effect.parameters)))));
+      entries.emplace_back(
+          fmt::format("{}: {}", words::role(diagnosis), effect.name),
+          typographic(words::explains(diagnosis)
+                          ? fmt::format("{} {}", sentence(words::cause(effect.name)),
+                                        sentence(words::quantities(effect.parameters)))
+                          : sentence(words::quantities(effect.parameters))));
   for (const std::vector<std::string>& group : diagnosis.rivals)
     for (const std::string& name : group)
       if (diagnosis.verdict == DiagnosisVerdict::Ambiguous)
@@ -318,7 +321,7 @@ void add_parameters(Page& page, const Diagnosis& diagnosis) {
     Table table{.caption = "± one standard deviation.", .columns = {{"Parameter"}, {"Estimate", true}}};
     for (const EstimatedParameter& parameter : diagnosis.parameters_after)
       table.rows.push_back({with_unit(parameter.name, parameter.unit),
-                            typographic(words::with_sd(parameter.value, parameter.sd))});
+                            typographic(words::estimate(parameter))});
     page.table(table);
     return;
   }
@@ -328,14 +331,12 @@ void add_parameters(Page& page, const Diagnosis& diagnosis) {
           "± one standard deviation. Moved: by how many of its own standard deviations the base model was "
           "off.",
       .columns = {{"Parameter"}, {"Base model", true}, {"Extended model", true}, {"Moved (sd)", true}}};
-  const auto text = [](const EstimatedParameter& parameter) {
-    return std::isfinite(parameter.value) ? typographic(words::with_sd(parameter.value, parameter.sd)) : "";
-  };
   for (const words::ParameterRow& row : words::parameter_rows(diagnosis)) {
     std::string moved =
         std::isfinite(row.moved_sd) ? typographic(fmt::format("{:+.1f}", row.moved_sd)) : std::string();
     table.rows.push_back(
-        {with_unit(row.after.name, row.after.unit), text(row.before), text(row.after),
+        {with_unit(row.after.name, row.after.unit), row.is_in_base ? typographic(words::estimate(row.before)) : "",
+         typographic(words::estimate(row.after)),
          Cell(std::move(moved), std::abs(row.moved_sd) > kFarMoved_sd ? Tone::Mixed : Tone::Plain)});
   }
   page.table(table);

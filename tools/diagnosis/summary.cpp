@@ -59,9 +59,9 @@ void add_effects(Text& text, const Diagnosis& diagnosis) {
     bool begun = false;
     for (const NamedEffect& effect : diagnosis.effects) {
       if (words::has_rivals(diagnosis, effect.name) != rivals) continue;
-      if (!begun) text.heading(rivals ? "Best of the rivals" : "Cause");
+      if (!begun) text.heading(rivals ? "Best of the rivals" : words::role(diagnosis));
       begun = true;
-      const std::string cause = words::cause(effect.name);
+      const std::string cause = words::explains(diagnosis) ? words::cause(effect.name) : "";
       text.add("  {}{}{}\n", effect.name, cause.empty() ? "" : ": ", cause);
       for (const EstimatedParameter& parameter : effect.parameters) {
         // What is not estimated tells nobody anything by itself.
@@ -112,25 +112,21 @@ void add_gain(Text& text, const Diagnosis& diagnosis, const DiagnosisSubject& su
   }
 }
 
-std::string column(double value, double sd) {
-  return std::isfinite(value) ? words::with_sd(value, sd) : "";
-}
-
 void add_parameters(Text& text, const Diagnosis& diagnosis) {
   if (diagnosis.parameters_after.empty()) return;
   text.heading("Parameters");
   if (diagnosis.effects.empty()) {
     for (const EstimatedParameter& parameter : diagnosis.parameters_after)
-      text.add("  {:<22} {:>25}  {}\n", parameter.name, column(parameter.value, parameter.sd),
-               parameter.unit);
+      text.add("  {:<22} {:>25}  {}\n", parameter.name, words::estimate(parameter), parameter.unit);
     return;
   }
   text.add("  {:<22} {:>25} {:>25}  {}\n", "", "base model", "extended", "moved");
   for (const words::ParameterRow& row : words::parameter_rows(diagnosis)) {
     const std::string moved =
         std::isfinite(row.moved_sd) ? fmt::format("{:+.1f} sd", row.moved_sd) : std::string();
-    text.add("  {:<22} {:>25} {:>25}  {:<9} {}\n", row.after.name, column(row.before.value, row.before.sd),
-             column(row.after.value, row.after.sd), moved, row.after.unit);
+    text.add("  {:<22} {:>25} {:>25}  {:<9} {}\n", row.after.name,
+             row.is_in_base ? words::estimate(row.before) : "", words::estimate(row.after), moved,
+             row.after.unit);
   }
 }
 

@@ -73,6 +73,10 @@ std::string with_sd(double value, double sd) {
   return fmt::format("{:.{}f} ± {:.{}f}", value, decimals, sd, decimals);
 }
 
+std::string estimate(const EstimatedParameter& parameter) {
+  return std::isfinite(parameter.value) ? with_sd(parameter.value, parameter.sd) : "not identifiable";
+}
+
 std::string quantity(const EstimatedParameter& parameter) {
   if (!parameter.choice.empty()) return parameter.choice;
   const Scaled scale = readable(parameter);
@@ -177,6 +181,14 @@ std::string cause(const std::string& effect) {
   return known == nullptr ? "" : std::string(info_of(*known).cause);
 }
 
+bool explains(const Diagnosis& diagnosis) {
+  return diagnosis.verdict != DiagnosisVerdict::Unexplained;
+}
+
+std::string_view role(const Diagnosis& diagnosis) {
+  return explains(diagnosis) ? "Cause" : "Tried, and not enough";
+}
+
 bool has_rivals(const Diagnosis& diagnosis, const std::string& effect) {
   return diagnosis.verdict == DiagnosisVerdict::Ambiguous &&
          std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(),
@@ -250,9 +262,6 @@ std::vector<GainRow> gain_rows(const Diagnosis& diagnosis, const DiagnosisSubjec
   add(fmt::format("the same, of the {}'s own rms", subject.effort()), &GainFigures::torque_error_relative,
       decimals(4), true);
   add("misfit (1: the noise floor)", &GainFigures::misfit, decimals(3), true);
-  // Noise that took up the effect makes the base model's misfit too small.
-  if (!rows.empty() && rows.back().what.starts_with("misfit"))
-    rows.back().better = std::abs(after.misfit - 1.0) < std::abs(before.misfit - 1.0);
   add("log likelihood per sample (nats)", &GainFigures::log_likelihood_per_sample, decimals(3), false);
   add(
       "chance that what is left is white noise", &GainFigures::whiteness_p_value,
@@ -267,7 +276,10 @@ std::vector<ParameterRow> parameter_rows(const Diagnosis& diagnosis) {
     ParameterRow row{{.name = after.name, .unit = after.unit}, after, 0.0};
     const auto same = std::find_if(diagnosis.parameters_before.begin(), diagnosis.parameters_before.end(),
                                    [&](const EstimatedParameter& other) { return other.name == after.name; });
-    if (same != diagnosis.parameters_before.end()) row.before = *same;
+    if (same != diagnosis.parameters_before.end()) {
+      row.before = *same;
+      row.is_in_base = true;
+    }
     row.moved_sd = (after.value - row.before.value) / row.before.sd;
     rows.push_back(std::move(row));
   }

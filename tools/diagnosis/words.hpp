@@ -13,6 +13,9 @@ namespace clampd::words {
 /// "50.2 ± 0.4", to two digits of the standard deviation; without ± where sd is NaN or 0, "-" for NaN.
 std::string with_sd(double value, double sd);
 
+/// A parameter with its standard deviation, without unit; "not identifiable" where the runs do not tell.
+std::string estimate(const EstimatedParameter& parameter);
+
 /// The same in a unit that people read with ease: "3.02 ± 0.01 ms" for seconds; a choice by its name.
 std::string quantity(const EstimatedParameter& parameter);
 
@@ -46,6 +49,12 @@ std::vector<std::string> depends_on(const Misfit& misfit);
 /// The effect's cause as the catalogue words it; empty if it does not list it.
 std::string cause(const std::string& effect);
 
+/// Whether the verdict stands by the effects that the diagnosis found: an unexplained result names no cause.
+bool explains(const Diagnosis& diagnosis);
+
+/// What an effect without rivals is called in this result: "Cause", or that it does not explain the runs.
+std::string_view role(const Diagnosis& diagnosis);
+
 /// Whether the verdict leaves open if it is the effect of this name or one that does nearly as well.
 bool has_rivals(const Diagnosis& diagnosis, const std::string& effect);
 
@@ -73,9 +82,10 @@ std::vector<GainRow> gain_rows(const Diagnosis& diagnosis, const DiagnosisSubjec
 
 /// A parameter of the model before and after the effects joined it.
 struct ParameterRow {
-  EstimatedParameter before;  ///< NaN for a parameter of an effect
+  EstimatedParameter before;  ///< NaN where it has none
   EstimatedParameter after;
-  double moved_sd;  ///< the change over the standard deviation before; NaN where there is none
+  double moved_sd;          ///< the change over the standard deviation before; NaN where there is none
+  bool is_in_base = false;  ///< whether the model had it before
 };
 
 std::vector<ParameterRow> parameter_rows(const Diagnosis& diagnosis);

@@ -102,7 +102,8 @@ struct GainFigures {
   double simulated_rms_velocity_rad_s = 0.0;
   double log_likelihood_per_sample = 0.0;
   double whiteness_p_value = 1.0;
-  /// Mean square innovation over its expected value: 1 at the noise floor.
+  /// Mean square innovation over its expected value by the noise of the model with the named effects, before
+  /// and after: 1 at the noise floor.
   double misfit = 1.0;
   /// Of drives without a force reading, judged by the torque that their motion needs.
   double rms_torque_Nm = std::numeric_limits<double>::quiet_NaN();
