@@ -101,6 +101,20 @@ TEST_P(FeedbackInTheRow, IsNoEffect) {
   EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
 }
 
+/// A Coulomb friction that differs by direction contains a torque offset where the brake only slides: its fit must not end below the
+/// offset's, and so fall out of the rivals.
+class ContainingModel : public ::testing::TestWithParam<std::uint64_t> {};
+INSTANTIATE_TEST_SUITE_P(Sample, ContainingModel, ::testing::Values(1, 2, 3, 4));
+
+TEST_P(ContainingModel, IsNotLostBesideTheOneThatItContains) {
+  blind::Request request;
+  request.effect = "friction-asymmetry";
+  request.generator = blind::Generator::Station;
+  request.seed = GetParam();
+  const Diagnosis diagnosis = spoken(sealed(request).runs);
+  EXPECT_TRUE(names(diagnosis, "friction-asymmetry")) << diagnosis.summary;
+}
+
 class HiddenPairs : public ::testing::TestWithParam<std::uint64_t> {};
 // The last: a hum, of which harmonics are sought, though not as those of a cogging.
 INSTANTIATE_TEST_SUITE_P(Sample, HiddenPairs, ::testing::Values(1001, 1004, 930043));
