@@ -7,7 +7,6 @@
 
 #include <Eigen/LU>
 
-#include "clampd/statistics/symmetric.hpp"
 #include "src/identify/starting_point.hpp"
 
 namespace clampd::identify {
@@ -250,12 +249,12 @@ double JointFit::log_likelihood() const {
 
 double JointFit::expected_decrease() const {
   const JointNormal joint = joint_normal(options_.held);
-  return squares() - joint.squares + joint.gradient.dot(statistics::SymmetricFactor(joint.information).solve(joint.gradient));
+  return squares() - joint.squares - joint.gradient.dot(step_to_minimum(joint));
 }
 
 void JointFit::gauss_newton_step(Eigen::VectorXd& step) const {
   const JointNormal joint = joint_normal(options_.held);
-  const ParameterVector theta = -statistics::SymmetricFactor(joint.information).solve(joint.gradient);
+  const ParameterVector theta = step_to_minimum(joint);
   Eigen::Index next = 0;
   for (int i = 0; i < kTheta; ++i) {
     if (options_.held[static_cast<std::size_t>(i)]) continue;

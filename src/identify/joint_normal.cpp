@@ -1,5 +1,6 @@
 #include "src/identify/joint_normal.hpp"
 
+#include <Eigen/Cholesky>
 #include <Eigen/LU>
 
 namespace clampd::identify {
@@ -17,6 +18,10 @@ void add_initial_state_prior(const Eigen::Vector2d& distance, Normal& normal) no
 
 Eigen::Matrix<double, kTheta, 2> elimination(const Normal& normal) noexcept {
   return normal.block<kTheta, 2>(0, kTheta) * normal.block<2, 2>(kTheta, kTheta).inverse();
+}
+
+ParameterVector step_to_minimum(const JointNormal& joint) noexcept {
+  return -joint.information.ldlt().solve(joint.gradient);
 }
 
 JointNormal eliminate_initial_states(std::span<const Normal> normals, const Held& held) noexcept {

@@ -22,6 +22,9 @@ struct JointNormal {
   double log_determinant = 0.0;                           ///< of all initial states' information
 };
 
+/// The step of the parameters to the minimum of their normal equations. Allocates nothing: a search calls it at every point.
+ParameterVector step_to_minimum(const JointNormal& joint) noexcept;
+
 /// `normals` with the prior of the initial states in them.
 JointNormal eliminate_initial_states(std::span<const Normal> normals, const Held& held) noexcept;
 
