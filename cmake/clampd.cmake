@@ -67,7 +67,7 @@ clampd_precompiled(product_json LIBRARIES nlohmann_json::nlohmann_json HEADERS $
 # namespace, is therefore used once in a target. (CMake's own unity build names its files by absolute paths, so that ccache would
 # find nothing of another clone.) Off in the presets dev, tidy and fuzz, where each file is compiled by itself.
 option(CLAMPD_UNITY "Compile several files of a target as one unit" ON)
-set(CLAMPD_UNITY_FILES 6)
+set(CLAMPD_UNITY_FILES 12)
 
 # clampd_units(VARIABLE file...): what to compile for these files, which stand beside or below the CMakeLists.txt that calls it.
 function(clampd_units VARIABLE)
@@ -123,14 +123,15 @@ function(clampd_room NAME)
   add_library(clampd::${NAME} ALIAS ${TARGET})
 endfunction()
 
-# clampd_test(NAME [ONE_BY_ONE] [THREADS pattern] SOURCES file... DEPENDS target... [LABELS label...] [TIMEOUT seconds])
+# clampd_test(NAME [ONE_BY_ONE] [THREADS pattern] [ARITHMETIC pattern] SOURCES file... DEPENDS target... [LABELS label...]
+#             [TIMEOUT seconds])
 # One GoogleTest program; each of its tests is a CTest test of its own. THREADS names those that run more than one thread, as
 # GoogleTest's --gtest_filter does: they are what ThreadSanitizer is built for, which has nothing to find in the others.
-# The other sanitizers' builds leave out the slow ones, which test figures, not memory, and, unless CLAMPD_SANITIZE_ALL is on, those
-# that are arithmetic through and through (label arithmetic), which take long and get nothing from outside. ONE_BY_ONE: its files are not compiled as
-# one unit, since several have a helper of the same name.
+# The other sanitizers' builds leave out the slow ones, which test figures, not memory, and, unless CLAMPD_SANITIZE_ALL is on, what
+# computes for minutes there and gets nothing from outside: programs with the label arithmetic, and the tests that ARITHMETIC names.
+# ONE_BY_ONE: its files are not compiled as one unit, since several have a helper of the same name.
 function(clampd_test NAME)
-  cmake_parse_arguments(TEST "ONE_BY_ONE" "THREADS;TIMEOUT" "SOURCES;DEPENDS;LABELS" ${ARGN})
+  cmake_parse_arguments(TEST "ONE_BY_ONE" "THREADS;ARITHMETIC;TIMEOUT" "SOURCES;DEPENDS;LABELS" ${ARGN})
   if(NOT TEST_TIMEOUT)
     set(TEST_TIMEOUT 300)
   endif()
@@ -149,6 +150,8 @@ function(clampd_test NAME)
     set(PATTERN "${TEST_THREADS}")
   elseif(CLAMPD_SANITIZE AND ("slow" IN_LIST TEST_LABELS OR ("arithmetic" IN_LIST TEST_LABELS AND NOT CLAMPD_SANITIZE_ALL)))
     set(PATTERN "")
+  elseif(CLAMPD_SANITIZE AND TEST_ARITHMETIC AND NOT CLAMPD_SANITIZE_ALL)
+    set(PATTERN "*-${TEST_ARITHMETIC}")
   endif()
   if(NOT PATTERN)
     set_target_properties(test_${NAME} PROPERTIES EXCLUDE_FROM_ALL ON)

@@ -2,28 +2,26 @@
 
 #include <cmath>
 
+#include "clampd/base/json.hpp"
+
 namespace clampd {
 namespace {
 
 using nlohmann::ordered_json;
 
-ordered_json json_number(double value) {
-  return std::isfinite(value) ? ordered_json(value) : ordered_json(nullptr);
-}
-
 ordered_json numbers(const std::vector<double>& values) {
   ordered_json array = ordered_json::array();
-  for (const double value : values) array.push_back(json_number(value));
+  for (const double value : values) array.push_back(number_or_null(value));
   return array;
 }
 
 ordered_json parameter_json(const ParameterRecord& parameter) {
   return {{"name", parameter.name},
           {"unit", parameter.unit},
-          {"value", json_number(parameter.value)},
-          {"sd", json_number(parameter.sd)},
-          {"lower", json_number(parameter.lower)},
-          {"upper", json_number(parameter.upper)},
+          {"value", number_or_null(parameter.value)},
+          {"sd", number_or_null(parameter.sd)},
+          {"lower", number_or_null(parameter.lower)},
+          {"upper", number_or_null(parameter.upper)},
           {"verdict", to_string(parameter.verdict)}};
 }
 
@@ -35,23 +33,23 @@ ordered_json timing_json(const TimingRecord& timing) {
           {"skipped", timing.skipped},
           {"lost_samples", timing.lost_samples},
           {"lateness_us",
-           {{"min", json_number(timing.lateness_min_us)},
-            {"avg", json_number(timing.lateness_avg_us)},
-            {"max", json_number(timing.lateness_max_us)}}},
+           {{"min", number_or_null(timing.lateness_min_us)},
+            {"avg", number_or_null(timing.lateness_avg_us)},
+            {"max", number_or_null(timing.lateness_max_us)}}},
           {"lateness_histogram_us", std::move(histogram)},
-          {"bus_load", json_number(timing.bus_load)}};
+          {"bus_load", number_or_null(timing.bus_load)}};
 }
 
 ordered_json run_json(const RunRecord& run) {
   return {{"name", run.run.name},
           {"rows", run.run.size()},
-          {"tracking_rms_N", json_number(run.tracking_rms_N)},
-          {"tracking_max_N", json_number(run.tracking_max_N)},
+          {"tracking_rms_N", number_or_null(run.tracking_rms_N)},
+          {"tracking_max_N", number_or_null(run.tracking_max_N)},
           {"converged", run.converged},
           {"estimate", numbers(run.estimate)},
           {"fit",
-           {{"force_rms_N", json_number(run.fit_force_rms_N)},
-            {"velocity_rms_rad_s", json_number(run.fit_velocity_rms_rad_s)}}},
+           {{"force_rms_N", number_or_null(run.fit_force_rms_N)},
+            {"velocity_rms_rad_s", number_or_null(run.fit_velocity_rms_rad_s)}}},
           {"sha256", run.checksum_sha256},
           {"removed", run.removed.empty() ? ordered_json(nullptr) : ordered_json(run.removed)}};
 }
@@ -95,9 +93,9 @@ ordered_json check_json(const CheckRecord& record) {
           {"repeats", record.repeats},
           {"parameters", std::move(parameters)},
           {"timing", timing_json(record.timing)},
-          {"tracking_rms_N", json_number(record.tracking_rms_N)},
+          {"tracking_rms_N", number_or_null(record.tracking_rms_N)},
           {"started", record.started},
-          {"duration_s", json_number(record.duration_s)},
+          {"duration_s", number_or_null(record.duration_s)},
           {"cause", record.cause ? cause_json(*record.cause) : ordered_json(nullptr)},
           {"record", record.id},
           {"stopped", record.stopped},
@@ -116,14 +114,14 @@ ordered_json check_json(const CheckRecord& record) {
           {"instruments", std::move(instruments)},
           {"fault", to_string(record.fault)},
           {"noise",
-           {{"force_N", json_number(record.noise_force_N)},
-            {"velocity_rad_s", json_number(record.noise_velocity_rad_s)},
-            {"torque_Nm", json_number(record.noise_torque_Nm)}}},
+           {{"force_N", number_or_null(record.noise_force_N)},
+            {"velocity_rad_s", number_or_null(record.noise_velocity_rad_s)},
+            {"torque_Nm", number_or_null(record.noise_torque_Nm)}}},
           {"tare",
-           {{"force_N", json_number(record.tare_force_N)},
-            {"force_sd_N", json_number(record.tare_force_sd_N)},
-            {"velocity_rad_s", json_number(record.tare_velocity_rad_s)},
-            {"velocity_sd_rad_s", json_number(record.tare_velocity_sd_rad_s)}}},
+           {{"force_N", number_or_null(record.tare_force_N)},
+            {"force_sd_N", number_or_null(record.tare_force_sd_N)},
+            {"velocity_rad_s", number_or_null(record.tare_velocity_rad_s)},
+            {"velocity_sd_rad_s", number_or_null(record.tare_velocity_sd_rad_s)}}},
           {"torque_while_off", record.torque_while_off
                                    ? ordered_json{{"mean_Nm", record.torque_while_off->mean_Nm},
                                                   {"sd_Nm", record.torque_while_off->sd_Nm},
@@ -148,7 +146,7 @@ nlohmann::ordered_json summaries_json(const std::vector<CheckSummary>& checks) {
                     {"marginal", check.marginal},
                     {"simulated", check.simulated},
                     {"repeats", check.repeats},
-                    {"duration_s", json_number(check.duration_s)},
+                    {"duration_s", number_or_null(check.duration_s)},
                     {"reason", check.reason},
                     {"void", check.is_void}});
   return {{"schema", "clampd.checks/1"}, {"checks", std::move(list)}};

@@ -25,7 +25,7 @@ struct Difference {
 };
 constexpr std::array<Difference, 2> kDifferences = {
     {{1e-6, kCertifiedLogdet}, {1e-5, kCertifiedLogdetWider}}};
-constexpr double kTorqueStep_Nm = 1e-6;
+constexpr double kReferenceTorqueStep_Nm = 1e-6;
 
 struct Outputs {
   std::vector<double> force_N;
@@ -134,11 +134,11 @@ double largest_difference(const std::vector<double>& a, const std::vector<double
 double amplification_by_differences(const BrakeParameters& brake, const BrakeState& initial,
                                     std::span<const double> torque_Nm) {
   std::vector<double> offset(torque_Nm.begin(), torque_Nm.end());
-  for (double& torque : offset) torque += kTorqueStep_Nm;
+  for (double& torque : offset) torque += kReferenceTorqueStep_Nm;
   const Outputs high = simulate_finely(brake, initial, offset);
-  for (double& torque : offset) torque -= 2.0 * kTorqueStep_Nm;
+  for (double& torque : offset) torque -= 2.0 * kReferenceTorqueStep_Nm;
   const Outputs low = simulate_finely(brake, initial, offset);
-  return largest_difference(high.velocity_rad_s, low.velocity_rad_s) / (2.0 * kTorqueStep_Nm);
+  return largest_difference(high.velocity_rad_s, low.velocity_rad_s) / (2.0 * kReferenceTorqueStep_Nm);
 }
 
 }  // namespace

@@ -9,7 +9,7 @@ namespace clampd {
 
 namespace {
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kNoInformation = std::numeric_limits<double>::infinity();
 
 }  // namespace
 
@@ -26,14 +26,14 @@ std::optional<Objective> parse_objective(std::string_view name) noexcept {
 Criterion criterion_of(const ParameterMatrix& information) noexcept {
   const Criterion criterion{-log_det(information), cramer_rao(information).trace()};
   if (!std::isfinite(criterion.logdet) || !std::isfinite(criterion.trace_inverse))
-    return {kInfinity, kInfinity};
+    return {kNoInformation, kNoInformation};
   return criterion;
 }
 
 ObjectivePoint evaluate(Objective objective, const ParameterMatrix& information) noexcept {
   const double logdet = -log_det(information);
   const ParameterMatrix inverse = cramer_rao(information);
-  if (!std::isfinite(logdet) || !inverse.allFinite()) return {kInfinity, ParameterMatrix::Zero()};
+  if (!std::isfinite(logdet) || !inverse.allFinite()) return {kNoInformation, ParameterMatrix::Zero()};
   if (objective == Objective::D) return {logdet, -inverse};
   const double trace = inverse.trace();
   return {std::log(trace), -inverse * inverse / trace};

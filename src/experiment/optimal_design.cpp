@@ -48,7 +48,7 @@ constexpr double kWorthTesting = 0.01;
 /// Designs that are shown to certify() before the search gives up.
 constexpr std::size_t kCertifications = 30;
 
-struct Candidate {
+struct CandidateDesign {
   std::vector<double> x;  ///< torques of the blocks over the torque limit
   double objective = kInfinity;
   bool steady = false;
@@ -68,7 +68,7 @@ constexpr double kSingularObjective = 1e3;
 /// A local search: its problem and the feasible points that it passes.
 struct Passage {
   DesignProblem& problem;
-  std::vector<Candidate> feasible;
+  std::vector<CandidateDesign> feasible;
 };
 
 double objective_for_search(unsigned count, const double* x, double* gradient, void* data) {
@@ -102,7 +102,7 @@ void constraints_for_search(unsigned constraints, double* result, unsigned count
 
 /// Sequential quadratic programming from candidate.x; keeps the best steady one of the feasible points
 /// that it passes: where it ends is often the verge of a lock-up.
-void improve(DesignProblem& problem, Candidate& candidate, int evaluations) {
+void improve(DesignProblem& problem, CandidateDesign& candidate, int evaluations) {
   const auto count = static_cast<unsigned>(problem.blocks());
   const Optimiser optimiser(nlopt_create(NLOPT_LD_SLSQP, count));
   const std::vector<double> tolerance(problem.constraints(), kFeasible);
@@ -118,12 +118,13 @@ void improve(DesignProblem& problem, Candidate& candidate, int evaluations) {
   double reached = kInfinity;
   // Failures of its line search near a kink of the model are an end like any other.
   nlopt_optimize(optimiser.get(), x.data(), &reached);
-  std::vector<Candidate>& feasible = passage.feasible;
-  std::stable_sort(feasible.begin(), feasible.end(),
-                   [](const Candidate& a, const Candidate& b) { return a.objective < b.objective; });
+  std::vector<CandidateDesign>& feasible = passage.feasible;
+  std::stable_sort(feasible.begin(), feasible.end(), [](const CandidateDesign& a, const CandidateDesign& b) {
+    return a.objective < b.objective;
+  });
   if (feasible.empty() || !(feasible.front().objective < candidate.rank())) return;
   double tested = -kInfinity;
-  for (Candidate& passed : feasible) {
+  for (CandidateDesign& passed : feasible) {
     if (passed.objective >= std::min(candidate.rank(), feasible.front().rank())) break;
     if (passed.objective < tested + kWorthTesting) continue;
     tested = passed.objective;
@@ -141,50 +142,50 @@ double merit(DesignProblem& problem, std::span<const double> x) {
   return problem.objective() + 100.0 * problem.violation();
 }
 
-bool alike(const Candidate& a, const Candidate& b, double distance) {
+bool alike(const CandidateDesign& a, const CandidateDesign& b, double distance) {
   return std::equal(a.x.begin(), a.x.end(), b.x.begin(),
                     [distance](double one, double other) { return std::abs(one - other) <= distance; });
 }
 
-class Search {
+class DesignSearch {
  public:
-  explicit Search(const DesignOptions& options);
+  explicit DesignSearch(const DesignOptions& options);
   void run();
   /// All feasible designs found: the steady ones, then the others, each the best one first.
-  const std::vector<Candidate>& feasible() const { return feasible_; }
+  const std::vector<CandidateDesign>& feasible() const { return feasible_; }
   std::int64_t simulations() const;
 
  private:
-  Candidate explore(DesignProblem& problem, std::mt19937_64& random) const;
-  Candidate vary(DesignProblem& problem, std::mt19937_64& random) const;
+  CandidateDesign explore(DesignProblem& problem, std::mt19937_64& random) const;
+  CandidateDesign vary(DesignProblem& problem, std::mt19937_64& random) const;
   void vary_once(DesignProblem& problem, std::mt19937_64& random, std::vector<double>& x) const;
   template <class Task>
-  std::vector<Candidate> in_parallel(std::size_t count, const Task& task);
-  void select(std::vector<Candidate>&& found);
+  std::vector<CandidateDesign> in_parallel(std::size_t count, const Task& task);
+  void select(std::vector<CandidateDesign>&& found);
   void report(bool done) const;
 
   const DesignOptions& options_;
   std::vector<DesignProblem> problems_;
-  std::vector<Candidate> feasible_;
-  std::vector<Candidate> elite_;
+  std::vector<CandidateDesign> feasible_;
+  std::vector<CandidateDesign> elite_;
   std::uint64_t task_ = 0;
   std::size_t total_;
 };
 
-Search::Search(const DesignOptions& options)
+DesignSearch::DesignSearch(const DesignOptions& options)
     : options_(options), total_(static_cast<std::size_t>(options.starts)) {
   for (int i = 0; i < threads_or_all(options.threads); ++i) problems_.emplace_back(options, kTightening);
 }
 
-std::int64_t Search::simulations() const {
+std::int64_t DesignSearch::simulations() const {
   std::int64_t sum = 0;
   for (const DesignProblem& problem : problems_) sum += problem.simulations();
   return sum;
 }
 
 template <class Task>
-std::vector<Candidate> Search::in_parallel(std::size_t count, const Task& task) {
-  std::vector<Candidate> found(count);
+std::vector<CandidateDesign> DesignSearch::in_parallel(std::size_t count, const Task& task) {
+  std::vector<CandidateDesign> found(count);
   for_each_index(count, static_cast<int>(problems_.size()), [&](std::size_t thread, std::size_t i) {
     // Each task draws from its own stream, so that no result depends on which thread does it.
     std::seed_seq seed{options_.seed, options_.seed >> 32, task_ + i};
@@ -196,8 +197,8 @@ std::vector<Candidate> Search::in_parallel(std::size_t count, const Task& task) 
   return found;
 }
 
-Candidate Search::explore(DesignProblem& problem, std::mt19937_64& random) const {
-  Candidate best{std::vector<double>(problem.blocks()), kInfinity};
+CandidateDesign DesignSearch::explore(DesignProblem& problem, std::mt19937_64& random) const {
+  CandidateDesign best{std::vector<double>(problem.blocks()), kInfinity};
   double best_merit = kInfinity;
   std::vector<double> x(problem.blocks());
   for (std::size_t i = 0; i < kRandomExperiments; ++i) {
@@ -211,7 +212,7 @@ Candidate Search::explore(DesignProblem& problem, std::mt19937_64& random) const
   return best;
 }
 
-void Search::vary_once(DesignProblem& problem, std::mt19937_64& random, std::vector<double>& x) const {
+void DesignSearch::vary_once(DesignProblem& problem, std::mt19937_64& random, std::vector<double>& x) const {
   std::uniform_real_distribution<double> unit(0.0, 1.0);
   std::normal_distribution<double> normal;
   const auto block = [&] {
@@ -243,14 +244,14 @@ void Search::vary_once(DesignProblem& problem, std::mt19937_64& random, std::vec
   for (double& share : x) share = std::clamp(share, -1.0, 1.0);
 }
 
-Candidate Search::vary(DesignProblem& problem, std::mt19937_64& random) const {
+CandidateDesign DesignSearch::vary(DesignProblem& problem, std::mt19937_64& random) const {
   std::uniform_real_distribution<double> unit(0.0, 1.0);
   // The better ones more often.
   const double draw = unit(random) * unit(random);
   const std::size_t index =
       std::min(elite_.size() - 1, static_cast<std::size_t>(draw * static_cast<double>(elite_.size())));
-  const Candidate& parent = elite_[index];
-  Candidate best{parent.x, kInfinity};
+  const CandidateDesign& parent = elite_[index];
+  CandidateDesign best{parent.x, kInfinity};
   double best_merit = kInfinity;
   for (std::size_t i = 0; i < kVariations; ++i) {
     std::vector<double> x = parent.x;
@@ -265,28 +266,28 @@ Candidate Search::vary(DesignProblem& problem, std::mt19937_64& random) const {
   return best;
 }
 
-void Search::select(std::vector<Candidate>&& found) {
-  for (Candidate& candidate : found)
+void DesignSearch::select(std::vector<CandidateDesign>&& found) {
+  for (CandidateDesign& candidate : found)
     if (std::isfinite(candidate.objective)) feasible_.push_back(std::move(candidate));
   std::stable_sort(feasible_.begin(), feasible_.end(),
-                   [](const Candidate& a, const Candidate& b) { return a.rank() < b.rank(); });
+                   [](const CandidateDesign& a, const CandidateDesign& b) { return a.rank() < b.rank(); });
   elite_.clear();
-  for (const Candidate& candidate : feasible_) {
+  for (const CandidateDesign& candidate : feasible_) {
     if (elite_.size() == kElite) break;
     if (std::none_of(elite_.begin(), elite_.end(),
-                     [&](const Candidate& better) { return alike(better, candidate, kSameFamily); }))
+                     [&](const CandidateDesign& better) { return alike(better, candidate, kSameFamily); }))
       elite_.push_back(candidate);
   }
 }
 
-void Search::report(bool done) const {
+void DesignSearch::report(bool done) const {
   if (!options_.progress) return;
   // The polish at the end has at most kElite tasks.
   options_.progress(done ? 1.0 : static_cast<double>(task_) / static_cast<double>(total_ + kElite),
                     elite_.empty() ? kInfinity : elite_.front().objective);
 }
 
-void Search::run() {
+void DesignSearch::run() {
   const std::size_t exploration = std::min(total_, std::max(kExploration, total_ / 5));
   while (task_ < total_) {
     const std::size_t count = std::min(kRoundStarts, total_ - static_cast<std::size_t>(task_));
@@ -298,14 +299,14 @@ void Search::run() {
                          [this](auto& problem, auto& random, std::size_t) { return vary(problem, random); }));
     report(false);
   }
-  const std::vector<Candidate> rough = elite_;
+  const std::vector<CandidateDesign> rough = elite_;
   select(in_parallel(rough.size(), [&rough](DesignProblem& problem, std::mt19937_64&, std::size_t i) {
-    Candidate candidate = rough[i];
+    CandidateDesign candidate = rough[i];
     improve(problem, candidate, kPolishEvaluations);
     return candidate;
   }));
   std::stable_partition(feasible_.begin(), feasible_.end(),
-                        [](const Candidate& candidate) { return candidate.steady; });
+                        [](const CandidateDesign& candidate) { return candidate.steady; });
   report(true);
 }
 
@@ -391,7 +392,7 @@ DesignSummary design_experiment(const DesignOptions& options) {
   CLAMPD_ASSERT(options.validate());
   const auto begin = std::chrono::steady_clock::now();
   DesignSummary summary;
-  Search search(options);
+  DesignSearch search(options);
   search.run();
   summary.simulations = search.simulations();
   if (search.feasible().empty()) {
@@ -401,11 +402,11 @@ DesignSummary design_experiment(const DesignOptions& options) {
         "force or torque";
   }
   DesignProblem problem(options, 0.0);
-  std::vector<const Candidate*> refused;
-  for (const Candidate& candidate : search.feasible()) {
+  std::vector<const CandidateDesign*> refused;
+  for (const CandidateDesign& candidate : search.feasible()) {
     if (refused.size() == kCertifications) break;
     if (std::any_of(refused.begin(), refused.end(),
-                    [&](const Candidate* other) { return alike(*other, candidate, kSameDesign); }))
+                    [&](const CandidateDesign* other) { return alike(*other, candidate, kSameDesign); }))
       continue;
     problem.evaluate(candidate.x);
     std::vector<double> block_torque_Nm = candidate.x;

@@ -61,9 +61,9 @@ LimitInterval decisive_limits(const EffectLimit& limit) {
   LimitInterval decisive = limit.interval;
   for (const EffectParameter& parameter : info_of(*find_effect(limit.effect)).parameters) {
     if (parameter.name != limit.parameter) continue;
-    constexpr double kInfinity = std::numeric_limits<double>::infinity();
-    if (decisive.lower <= parameter.lower) decisive.lower = -kInfinity;
-    if (decisive.upper >= parameter.upper) decisive.upper = kInfinity;
+    constexpr double kUnlimited = std::numeric_limits<double>::infinity();
+    if (decisive.lower <= parameter.lower) decisive.lower = -kUnlimited;
+    if (decisive.upper >= parameter.upper) decisive.upper = kUnlimited;
   }
   return decisive;
 }

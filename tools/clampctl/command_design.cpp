@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "clampd/base/json.hpp"
 #include "clampd/experiment/optimal_design.hpp"
 #include "clampd/experiment/robust_design.hpp"
 #include "clampd/record/file.hpp"
@@ -118,16 +119,13 @@ nlohmann::ordered_json robust_json(const RobustOptions& options, const RobustSum
                       {"lower_normalised", std::min(one, other)},
                       {"upper_normalised", std::max(one, other)}});
   }
-  const auto finite_or_null = [](double value) {
-    return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json(nullptr);
-  };
   return {{"schema", "clampd.design/1"},
           {"duration_s", static_cast<double>(options.samples) * kLargestStep_s},
           {"block_samples", options.block_samples},
           {"objective", kRobust},
           {"criterion",
-           {{"logdet", finite_or_null(summary.nominal.criterion.logdet)},
-            {"trace_inverse", finite_or_null(summary.nominal.criterion.trace_inverse)}}},
+           {{"logdet", number_or_null(summary.nominal.criterion.logdet)},
+            {"trace_inverse", number_or_null(summary.nominal.criterion.trace_inverse)}}},
           {"torque_Nm", summary.block_torque_Nm},
           {"force_max_N", evaluation.force_max_N},
           {"velocity_max_rad_s", evaluation.velocity_max_rad_s},

@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "clampd/base/json.hpp"
 #include "clampd/brake/extended_brake.hpp"
 #include "clampd/identify/extended_identification.hpp"
 #include "clampd/identify/profile.hpp"
@@ -49,10 +50,6 @@ std::vector<Correlation> strong_correlations(const ParameterMatrix& covariance) 
       if (std::abs(value) > kHardToTellApart) strong.push_back({i, j, value});
     }
   return strong;
-}
-
-nlohmann::ordered_json number_or_null(double value) {
-  return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json(nullptr);
 }
 
 nlohmann::ordered_json matrix_json(const ParameterMatrix& matrix) {

@@ -1,19 +1,14 @@
 #include "tools/diagnosis/json.hpp"
 
-#include <cmath>
-
 #include <nlohmann/json.hpp>
 
+#include "clampd/base/json.hpp"
 #include "tools/diagnosis/words.hpp"
 
 namespace clampd {
 namespace {
 
 using nlohmann::ordered_json;
-
-ordered_json number_or_null(double value) {
-  return std::isfinite(value) ? ordered_json(value) : ordered_json(nullptr);
-}
 
 template <class Items, class ToJson>
 ordered_json list_of(const Items& items, const ToJson& to_json) {

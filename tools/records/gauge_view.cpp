@@ -5,6 +5,7 @@
 
 #include <fmt/format.h>
 
+#include "clampd/base/json.hpp"
 #include "clampd/report/page.hpp"
 #include "tools/records/gauge_study.hpp"
 
@@ -14,10 +15,6 @@ namespace {
 using nlohmann::ordered_json;
 using quality::GaugeComponent;
 using quality::GaugeStudy;
-
-ordered_json number(double value) {
-  return std::isfinite(value) ? ordered_json(value) : ordered_json(nullptr);
-}
 
 struct NamedComponent {
   const char* key;
@@ -127,16 +124,16 @@ ordered_json gauge_json(const std::vector<GaugeQuantity>& quantities) {
     for (const quality::AnovaRow& row : study.anova)
       anova.push_back({{"source", row.source},
                        {"freedom", row.freedom},
-                       {"sum_of_squares", number(row.sum_of_squares)},
-                       {"mean_square", number(row.mean_square)},
-                       {"f", number(row.f)},
-                       {"p", number(row.p)}});
+                       {"sum_of_squares", number_or_null(row.sum_of_squares)},
+                       {"mean_square", number_or_null(row.mean_square)},
+                       {"f", number_or_null(row.f)},
+                       {"p", number_or_null(row.p)}});
     ordered_json components = ordered_json::object();
     for (const NamedComponent& named : kComponents) {
       const GaugeComponent& component = study.*named.component;
-      components[named.key] = {{"sd", number(component.sd)},
-                               {"of_total", number(component.of_total)},
-                               {"of_tolerance", number(component.of_tolerance)}};
+      components[named.key] = {{"sd", number_or_null(component.sd)},
+                               {"of_total", number_or_null(component.of_total)},
+                               {"of_tolerance", number_or_null(component.of_tolerance)}};
     }
     list.push_back({{"name", quantity.name},
                     {"unit", quantity.unit},
@@ -145,7 +142,7 @@ ordered_json gauge_json(const std::vector<GaugeQuantity>& quantities) {
                     {"repeats", study.repeats},
                     {"interaction_pooled", study.interaction_pooled},
                     {"components", std::move(components)},
-                    {"distinct_categories", number(study.distinct_categories)},
+                    {"distinct_categories", number_or_null(study.distinct_categories)},
                     {"grade", quality::to_string(grade_of(study))},
                     {"anova", std::move(anova)}});
   }

@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 
+#include "clampd/base/json.hpp"
 #include "tools/records/line_statistics.hpp"
 
 namespace clampd {
@@ -11,12 +12,10 @@ namespace {
 
 using nlohmann::ordered_json;
 
-ordered_json number(double value) {
-  return std::isfinite(value) ? ordered_json(value) : ordered_json(nullptr);
-}
-
 ordered_json index_json(const quality::CapabilityIndex& index) {
-  return {{"value", number(index.value)}, {"lower", number(index.lower)}, {"upper", number(index.upper)}};
+  return {{"value", number_or_null(index.value)},
+          {"lower", number_or_null(index.lower)},
+          {"upper", number_or_null(index.upper)}};
 }
 
 ordered_json chart_json(const quality::ControlChart& chart) {
@@ -25,9 +24,9 @@ ordered_json chart_json(const quality::ControlChart& chart) {
     signals.push_back({{"at", signal.at},
                        {"rule", quality::name(signal.rule)},
                        {"description", quality::description(signal.rule)}});
-  return {{"centre", number(chart.centre)},
-          {"lower", number(chart.lower)},
-          {"upper", number(chart.upper)},
+  return {{"centre", number_or_null(chart.centre)},
+          {"lower", number_or_null(chart.lower)},
+          {"upper", number_or_null(chart.upper)},
           {"points", chart.points},
           {"signals", std::move(signals)}};
 }
@@ -92,13 +91,13 @@ ordered_json statistics_json(const LineStatistics& statistics) {
   for (const ParameterStatistics& p : statistics.parameters)
     parameters.push_back({{"name", p.name},
                           {"unit", p.unit},
-                          {"lower", number(p.lower)},
-                          {"upper", number(p.upper)},
+                          {"lower", number_or_null(p.lower)},
+                          {"upper", number_or_null(p.upper)},
                           {"limits_changed", p.limits_changed},
                           {"n", p.capability.n},
-                          {"mean", number(p.capability.mean)},
-                          {"sd_within", number(p.capability.sd_within)},
-                          {"sd_overall", number(p.capability.sd_overall)},
+                          {"mean", number_or_null(p.capability.mean)},
+                          {"sd_within", number_or_null(p.capability.sd_within)},
+                          {"sd_overall", number_or_null(p.capability.sd_overall)},
                           {"cp", index_json(p.capability.cp)},
                           {"cpk", index_json(p.capability.cpk)},
                           {"pp", index_json(p.capability.pp)},
