@@ -1,0 +1,51 @@
+#pragma once
+
+#include <cstddef>
+#include <span>
+
+#include "clampd/identify/estimate.hpp"
+#include "clampd/record/run.hpp"
+
+namespace clampd {
+
+/// A systematic residual counts from this chance on that noise alone shows as much.
+inline constexpr double kSystematic = 1e-3;
+
+/// What repeats of one motion have in common beside the model: noise differs from repeat to repeat, and what
+/// the model lacks comes back.
+struct SystematicMisfit {
+  bool can_tell = false;   ///< enough repeats of the same length
+  double p_value = 1.0;    ///< of the test that the repeats have nothing in common that the model lacks
+  double over_noise = 0.0; ///< rms of what they have in common over that of one repeat's noise, in stretches
+                           ///< of kBlock_rows
+  /// What it adds to the covariance of theta / theta_nom; zero where it cannot be told.
+  ParameterMatrix covariance_normalised = ParameterMatrix::Zero();
+
+  bool is_significant() const { return can_tell && p_value < kSystematic; }
+};
+
+/// How the residuals of the estimate come about.
+enum class ResidualKind {
+  OutputError,  ///< of a simulation by the recorded torque
+  Innovations,  ///< of a prediction from the readings before, by the estimate's noise of the torque
+};
+
+/// Fewer repeats say too little about their own scatter.
+inline constexpr std::size_t kFewestRepeats = 4;
+
+/// Tests the residuals of a joint estimate of the base model. Each repeat's residuals are summed over blocks
+/// of neighbouring rows, what the parameters, the initial state and a wrong tare could answer taken off;
+/// then R |mean|^2 over the trace of the repeats' own covariance is compared with F(h, (R - 1) h) (Dempster,
+/// A high dimensional two sample significance test, 1958, for one sample), h by the covariance's unbiased
+/// traces (Srivastava, Fujikoshi, 2006). It takes the noise from the repeats alone: neither its level nor its
+/// autocorrelation, which the controller feeds through the motion, is presumed.
+///
+/// The covariance is the sandwich of White (1982) whose meat is the repeats' mean residual, in stretches of
+/// the trajectory: how far the stretches contradict each other about theta. The fit has made their sum zero,
+/// so that a misfit which all stretches answer by the same wrong theta is not seen.
+///
+/// Not to be told (can_tell false): fewer than kFewestRepeats runs, runs of different length, an estimate
+/// that has not converged or with effects beside the base model, a model that leaves all bounds.
+SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint, ResidualKind kind);
+
+}  // namespace clampd
