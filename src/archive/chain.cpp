@@ -14,19 +14,22 @@ struct DigestedTable {
   const char* condition;
 };
 
-/// Format 1. A later version that adds columns adds a format: what was sealed stays verifiable.
+/// What format 1 has of `checks`. A later version that adds columns adds a format: what was sealed stays
+/// verifiable.
+constexpr const char* kFirstColumns =
+    "id, serial, part_number, batch, station, fixture, operator, software_version, limits_file, "
+    "limits_revision, "
+    "limits_sha256, trajectory_sha256, instruments, simulated, started, stopped, duration_s, repeats, "
+    "verdict, "
+    "marginal, reason, fault, covariance_normalised, noise_force_N, noise_velocity_rad_s, tracking_rms_N, "
+    "ticks, "
+    "skipped, lost_samples, lateness_min_us, lateness_avg_us, lateness_max_us, bus_load, method, "
+    "noise_torque_Nm, "
+    "cause, torque_while_off, tare_force_N, tare_force_sd_N, tare_velocity_rad_s, tare_velocity_sd_rad_s";
+
+/// Format 2, of today.
 constexpr std::array<DigestedTable, 5> kTables{{
-    {"checks",
-     "id, serial, part_number, batch, station, fixture, operator, software_version, limits_file, "
-     "limits_revision, "
-     "limits_sha256, trajectory_sha256, instruments, simulated, started, stopped, duration_s, repeats, "
-     "verdict, "
-     "marginal, reason, fault, covariance_normalised, noise_force_N, noise_velocity_rad_s, tracking_rms_N, "
-     "ticks, "
-     "skipped, lost_samples, lateness_min_us, lateness_avg_us, lateness_max_us, bus_load, method, "
-     "noise_torque_Nm, "
-     "cause, torque_while_off, tare_force_N, tare_force_sd_N, tare_velocity_rad_s, tare_velocity_sd_rad_s",
-     "id = ?"},
+    {"checks", "", "id = ?"},
     {"parameters", "position, name, unit, value, sd, lower, upper, verdict",
      "check_id = ? ORDER BY position"},
     {"runs",
@@ -73,19 +76,27 @@ int append_rows(std::string& text, SQLite::Statement& statement) {
 }  // namespace
 
 ContentDigest::ContentDigest(SQLite::Database& database)
-    : amendment_(database, "SELECT id, check_id, kind, made, content FROM amendments WHERE id = ?") {
-  for (const DigestedTable& table : kTables)
+    // A check of format 1 that has what came later was changed.
+    : first_checks_(database,
+                    fmt::format("SELECT {} FROM checks WHERE id = ? AND systematic = ''", kFirstColumns)),
+      amendment_(database, "SELECT id, check_id, kind, made, content FROM amendments WHERE id = ?") {
+  for (const DigestedTable& table : kTables) {
+    const std::string columns =
+        table.columns[0] != '\0' ? table.columns : fmt::format("{}, systematic", kFirstColumns);
     tables_.push_back(
-        {table.name, SQLite::Statement(database, fmt::format("SELECT {} FROM {} WHERE {}", table.columns,
+        {table.name, SQLite::Statement(database, fmt::format("SELECT {} FROM {} WHERE {}", columns,
                                                              table.name, table.condition))});
+  }
 }
 
-std::optional<std::string> ContentDigest::of_check(const std::string& id) {
+std::optional<std::string> ContentDigest::of_check(const std::string& id, int format) {
   std::string text;
   for (Table& table : tables_) {
+    const bool is_check = &table == &tables_.front();
+    SQLite::Statement& rows = is_check && format == 1 ? first_checks_ : table.rows;
     text += fmt::format("[{}]\n", table.name);
-    table.rows.bind(1, id);
-    if (append_rows(text, table.rows) == 0 && &table == &tables_.front()) return std::nullopt;
+    rows.bind(1, id);
+    if (append_rows(text, rows) == 0 && is_check) return std::nullopt;
   }
   return sha256_hex(text);
 }
@@ -123,7 +134,8 @@ Chain::Chain(SQLite::Database& database) : database_(database), digest_(database
 }
 
 void Chain::append_check(const std::string& id) {
-  append({.check_id = id, .amendment = {}, .content_sha256 = {}, .chain_sha256 = {}}, digest_.of_check(id));
+  append({.check_id = id, .amendment = {}, .content_sha256 = {}, .chain_sha256 = {}},
+         digest_.of_check(id, kChainFormat));
 }
 
 void Chain::append_amendment(const std::string& check_id, std::int64_t amendment) {
@@ -165,7 +177,7 @@ Result<void> unchanged(SQLite::Database& database, const std::string& path, cons
     const ChainLink link = read_link(links);
     if (!link.amendment) {
       sealed = true;
-      if (digest.of_check(id) != link.content_sha256) return changed("check");
+      if (digest.of_check(id, link.format) != link.content_sha256) return changed("check");
     } else {
       ++amendments;
       if (digest.of_amendment(*link.amendment) != link.content_sha256)

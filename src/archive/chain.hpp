@@ -18,8 +18,8 @@ class ContentDigest {
  public:
   explicit ContentDigest(SQLite::Database& database);
 
-  /// Nothing if there is no such check or amendment.
-  std::optional<std::string> of_check(const std::string& id);
+  /// Nothing if there is no such check or amendment. `format`: of the link that seals it.
+  std::optional<std::string> of_check(const std::string& id, int format);
   std::optional<std::string> of_amendment(std::int64_t id);
 
  private:
@@ -27,7 +27,8 @@ class ContentDigest {
     std::string name;
     SQLite::Statement rows;
   };
-  std::vector<Table> tables_;  ///< the first one is `checks`
+  std::vector<Table> tables_;       ///< the first one is `checks`
+  SQLite::Statement first_checks_;  ///< the same of format 1
   SQLite::Statement amendment_;
 };
 
@@ -42,7 +43,7 @@ struct ChainLink {
 };
 
 /// What the columns of contents are: another format where a later version stores more.
-inline constexpr int kChainFormat = 1;
+inline constexpr int kChainFormat = 2;
 
 /// The link's own SHA-256: over all of it and the one before.
 std::string link_sha256(const ChainLink& link, const std::string& chain_before);

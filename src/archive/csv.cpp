@@ -60,13 +60,14 @@ std::string format_csv(const std::vector<CheckRecord>& checks) {
     for (const char* column : {"", " sd", " lower", " upper"})
       text += "," + cell(fmt::format("{}{} [{}]", name, column, unit));
   for (const auto& [name, unit] : names) text += "," + cell(name + " verdict");
-  text += ",void";
+  text += ",void,misfit_marked";
   text += "\r\n";
   for (const CheckRecord& c : checks) {
     std::string cause;
     if (c.cause)
-      cause =
-          c.cause->effects.empty() ? c.cause->verdict : fmt::format("{}", fmt::join(c.cause->effects, " "));
+      cause = c.cause->effects.empty() || c.cause->verdict == "unexplained"
+                  ? c.cause->verdict
+                  : fmt::format("{}", fmt::join(c.cause->effects, " "));
     std::vector<std::string> row{c.id,
                                  c.serial,
                                  c.part_number,
@@ -106,6 +107,7 @@ std::string format_csv(const std::vector<CheckRecord>& checks) {
     }
     row.insert(row.end(), verdicts.begin(), verdicts.end());
     row.push_back(c.voided ? cell(c.voided->reason) : "");
+    row.push_back(!c.systematic ? "" : c.systematic->marked ? "1" : "0");
     text += fmt::format("{}\r\n", fmt::join(row, ","));
   }
   return text;

@@ -64,6 +64,15 @@ ordered_json matrix_json(const std::vector<double>& row_major) {
   return matrix;
 }
 
+/// Null where it cannot be told.
+ordered_json systematic_json(const std::optional<SystematicRecord>& systematic) {
+  if (!systematic) return nullptr;
+  return {{"marked", systematic->marked},
+          {"p_value", number_or_null(systematic->p_value)},
+          {"over_noise", number_or_null(systematic->over_noise)},
+          {"moved_sd", number_or_null(systematic->moved_sd)}};
+}
+
 }  // namespace
 
 ordered_json cause_json(const CauseRecord& cause) {
@@ -97,6 +106,7 @@ ordered_json check_json(const CheckRecord& record) {
           {"started", record.started},
           {"duration_s", number_or_null(record.duration_s)},
           {"cause", record.cause ? cause_json(*record.cause) : ordered_json(nullptr)},
+          {"systematic_misfit", systematic_json(record.systematic)},
           {"record", record.id},
           {"stopped", record.stopped},
           {"simulated", record.simulated},

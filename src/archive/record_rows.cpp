@@ -41,7 +41,24 @@ std::optional<TorqueWhileOff> torque_while_off_from(const std::string& text) {
                         torque.at(2).get<std::size_t>()};
 }
 
-constexpr int kCheckColumns = 41;
+/// Empty if it could not be told.
+std::string systematic_text(const std::optional<SystematicRecord>& systematic) {
+  return systematic ? nlohmann::json{{"p_value", systematic->p_value},
+                                     {"over_noise", systematic->over_noise},
+                                     {"moved_sd", systematic->moved_sd},
+                                     {"marked", systematic->marked}}
+                          .dump()
+                    : "";
+}
+
+std::optional<SystematicRecord> systematic_from(const std::string& text) {
+  if (text.empty()) return std::nullopt;
+  const nlohmann::json systematic = nlohmann::json::parse(text);
+  return SystematicRecord{systematic.at("p_value").get<double>(), systematic.at("over_noise").get<double>(),
+                          systematic.at("moved_sd").get<double>(), systematic.at("marked").get<bool>()};
+}
+
+constexpr int kCheckColumns = 42;
 /// Microseconds; the loop keeps a few thousand.
 constexpr std::size_t kMaxHistogramBins = 1'000'000;
 
@@ -55,7 +72,8 @@ void insert_check(SQLite::Database& database, const CheckRecord& r) {
       << r.tracking_rms_N << r.timing.ticks << r.timing.skipped << r.timing.lost_samples
       << r.timing.lateness_min_us << r.timing.lateness_avg_us << r.timing.lateness_max_us << r.timing.bus_load
       << r.method << r.noise_torque_Nm << cause_text(r.cause) << torque_while_off_text(r.torque_while_off)
-      << r.tare_force_N << r.tare_force_sd_N << r.tare_velocity_rad_s << r.tare_velocity_sd_rad_s;
+      << r.tare_force_N << r.tare_force_sd_N << r.tare_velocity_rad_s << r.tare_velocity_sd_rad_s
+      << systematic_text(r.systematic);
   row.insert();
 }
 
@@ -187,7 +205,7 @@ void insert_record(SQLite::Database& database, const CheckRecord& record) {
 }
 
 void read_check(SQLite::Statement& statement, CheckRecord& r) {
-  std::string covariance, cause, torque_while_off;
+  std::string covariance, cause, torque_while_off, systematic;
   Columns columns(statement);
   columns >> r.id >> r.serial >> r.part_number >> r.batch >> r.station >> r.fixture >> r.operator_name >>
       r.software_version >> r.limits_file >> r.limits_revision >> r.limits_sha256 >> r.trajectory_sha256 >>
@@ -196,7 +214,8 @@ void read_check(SQLite::Statement& statement, CheckRecord& r) {
       r.tracking_rms_N >> r.timing.ticks >> r.timing.skipped >> r.timing.lost_samples >>
       r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >>
       r.method >> r.noise_torque_Nm >> cause >> torque_while_off >> r.tare_force_N >> r.tare_force_sd_N >>
-      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s;
+      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic;
+  r.systematic = systematic_from(systematic);
   r.cause = cause_from(cause);
   r.torque_while_off = torque_while_off_from(torque_while_off);
   r.covariance_normalised = numbers_from(covariance);

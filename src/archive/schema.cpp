@@ -14,7 +14,8 @@ constexpr int kApplicationId = 0x636c6d70;
 constexpr int kFirstWithApplicationId = 7;
 
 /// Step i brings a database of version i to i + 1 (PRAGMA user_version). Steps are never changed, only added.
-constexpr std::array<const char*, 7> kMigrations{R"sql(
+constexpr std::array<const char*, 9> kMigrations{
+    R"sql(
 CREATE TABLE checks (
   id TEXT PRIMARY KEY NOT NULL,
   serial TEXT NOT NULL, part_number TEXT NOT NULL, batch TEXT NOT NULL,
@@ -48,14 +49,14 @@ CREATE TABLE flight_recorder (
   state INTEGER NOT NULL, phase INTEGER NOT NULL, fault INTEGER NOT NULL,
   PRIMARY KEY (check_id, position)) STRICT;
 )sql",
-                                                 R"sql(
+    R"sql(
 ALTER TABLE checks ADD COLUMN method TEXT NOT NULL DEFAULT 'oem';
 ALTER TABLE checks ADD COLUMN noise_torque_Nm REAL;
 )sql",
-                                                 R"sql(
+    R"sql(
 ALTER TABLE checks ADD COLUMN cause TEXT NOT NULL DEFAULT '';
 )sql",
-                                                 R"sql(
+    R"sql(
 CREATE INDEX checks_by_part ON checks (part_number, started);
 CREATE INDEX checks_by_batch ON checks (batch, started);
 CREATE INDEX checks_by_operator ON checks (operator, started);
@@ -71,7 +72,7 @@ ALTER TABLE runs ADD COLUMN removed TEXT NOT NULL DEFAULT '';
 UPDATE runs SET bytes = length(csv);
 CREATE INDEX runs_kept ON runs (check_id, bytes) WHERE removed = '';
 )sql",
-                                                 R"sql(
+    R"sql(
 ALTER TABLE publication ADD COLUMN sequence INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE publication ADD COLUMN queued TEXT NOT NULL DEFAULT '';
 CREATE TEMPORARY TABLE numbered (check_id TEXT, channel TEXT, sequence INTEGER, PRIMARY KEY (check_id, channel));
@@ -84,14 +85,14 @@ DROP INDEX publication_pending;
 CREATE INDEX publication_next ON publication (channel, sequence) WHERE state = 0;
 CREATE TABLE outbox_connections (channel TEXT PRIMARY KEY NOT NULL, connections INTEGER NOT NULL) STRICT;
 )sql",
-                                                 R"sql(
+    R"sql(
 ALTER TABLE checks ADD COLUMN torque_while_off TEXT NOT NULL DEFAULT '';
 ALTER TABLE checks ADD COLUMN tare_force_N REAL NOT NULL DEFAULT 0;
 ALTER TABLE checks ADD COLUMN tare_force_sd_N REAL NOT NULL DEFAULT 0;
 ALTER TABLE checks ADD COLUMN tare_velocity_rad_s REAL NOT NULL DEFAULT 0;
 ALTER TABLE checks ADD COLUMN tare_velocity_sd_rad_s REAL NOT NULL DEFAULT 0;
 )sql",
-                                                 R"sql(
+    R"sql(
 CREATE TABLE amendments (
   id INTEGER PRIMARY KEY, check_id TEXT NOT NULL REFERENCES checks (id), kind TEXT NOT NULL, made TEXT NOT NULL,
   content TEXT NOT NULL) STRICT;
@@ -102,6 +103,11 @@ CREATE TABLE chain (
 CREATE INDEX chain_by_check ON chain (check_id);
 ALTER TABLE runs ADD COLUMN data BLOB;
 PRAGMA application_id = 1668050288;
+)sql",
+    // Version 8 was: all checks of older versions are in the chain.
+    "",
+    R"sql(
+ALTER TABLE checks ADD COLUMN systematic TEXT NOT NULL DEFAULT '';
 )sql"};
 
 /// All tables are there, but checks of an older version are not all in the chain yet.

@@ -78,7 +78,7 @@ class Verifier {
   void check_record(const ChainLink& link, ContentDigest& digest) {
     ++found_.checks;
     const std::string id = with_replacement_marks(link.check_id);
-    const std::optional<std::string> content = digest.of_check(link.check_id);
+    const std::optional<std::string> content = digest.of_check(link.check_id, link.format);
     if (!content) return damage(id, "the check is gone");
     if (*content != link.content_sha256)
       damage(id, "the check was changed after it was recorded: its checksum does not match");

@@ -5,10 +5,8 @@
 #include <optional>
 #include <vector>
 
-#include <Eigen/Cholesky>
-#include <Eigen/QR>
-#include <boost/math/distributions/fisher_f.hpp>
-
+#include "clampd/statistics/distributions.hpp"
+#include "clampd/statistics/symmetric.hpp"
 #include "src/identify/extended_run.hpp"
 
 namespace clampd {
@@ -19,7 +17,7 @@ namespace {
 
 /// Long enough that a block's sum is dominated by what the motion does, short against the motion.
 constexpr Eigen::Index kBlock_rows = 10;
-/// Of the sandwich: about as long as the residuals of a wrong model keep their sign.
+/// Of the jackknife: about as long as the residuals of a wrong model keep their sign.
 constexpr Eigen::Index kStretch_rows = 25;
 
 /// Whitened residuals and what moves them, one column per reading (force, velocity, force, ...), the initial
@@ -55,13 +53,13 @@ std::optional<RepeatView> view_of(const FitRun& run, const ExtendedParameters& m
   Eigen::MatrixXd normal = of_start * of_start.transpose();
   for (int i = 0; i < locals; ++i)
     normal(i, i) += 1.0 / (prior[static_cast<std::size_t>(i)] * prior[static_cast<std::size_t>(i)]);
-  all -= (all * of_start.transpose()) * normal.ldlt().solve(of_start);
+  all -= (all * of_start.transpose()) * statistics::SymmetricFactor(normal).solve_columns(of_start);
   RepeatView view;
   view.by_theta.setZero(static_cast<Eigen::Index>(kParameterCount), rows);
   for (int i = 0; i < p; ++i) {
     const int k = unknowns.parameter(i);
-    view.by_theta.row(k) = all.row(i) * (kParameterTable[static_cast<std::size_t>(k)].nominal /
-                                         unknowns.slope(model, i));
+    view.by_theta.row(k) =
+        all.row(i) * (kParameterTable[static_cast<std::size_t>(k)].nominal / unknowns.slope(model, i));
   }
   view.by_tare = all.middleRows(p, 2);
   view.residual = all.row(p + 2).transpose();
@@ -93,15 +91,15 @@ void test_mean(const Eigen::MatrixXd& columns, SystematicMisfit& misfit) {
   const double trace = gram.trace();
   const double square = gram.squaredNorm();
   if (!(trace > 0.0) || !std::isfinite(trace)) return;
-  const double square_unbiased = degrees * degrees / ((degrees - 1.0) * (degrees + 2.0)) *
-                                 (square - trace * trace / degrees);
-  const double trace_square_unbiased =
-      degrees * (degrees + 1.0) / ((degrees - 1.0) * (degrees + 2.0)) * (trace * trace - 2.0 * square / (degrees + 1.0));
+  const double square_unbiased =
+      degrees * degrees / ((degrees - 1.0) * (degrees + 2.0)) * (square - trace * trace / degrees);
+  const double trace_square_unbiased = degrees * (degrees + 1.0) / ((degrees - 1.0) * (degrees + 2.0)) *
+                                       (trace * trace - 2.0 * square / (degrees + 1.0));
   const double most = static_cast<double>(columns.rows());
-  const double h = square_unbiased > 0.0 ? std::clamp(trace_square_unbiased / square_unbiased, 1.0, most) : most;
+  const double h =
+      square_unbiased > 0.0 ? std::clamp(trace_square_unbiased / square_unbiased, 1.0, most) : most;
   const double statistic = repeats * mean.squaredNorm() / trace;
-  misfit.p_value = boost::math::cdf(
-      boost::math::complement(boost::math::fisher_f(h, degrees * h), statistic));
+  misfit.p_value = statistics::fisher_f_p_value(statistic, h, degrees * h);
   misfit.over_noise = std::sqrt(std::max(0.0, mean.squaredNorm() / trace - 1.0 / repeats));
   misfit.can_tell = std::isfinite(misfit.p_value);
 }
@@ -145,9 +143,7 @@ SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& jo
   answered << by_theta.transpose(), by_tare.transpose();
   for (Eigen::Index i = 0; i < answered.cols(); ++i)
     if (const double norm = answered.col(i).norm(); norm > 0.0) answered.col(i) /= norm;
-  const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(answered);
-  const Eigen::MatrixXd basis =
-      qr.householderQ() * Eigen::MatrixXd::Identity(readings, qr.rank());
+  const Eigen::MatrixXd basis = statistics::orthonormal_basis(answered);
   const Eigen::MatrixXd left = residuals - basis * (basis.transpose() * residuals);
   Eigen::MatrixXd blocks(in_blocks(left.col(0)).size(), repeats);
   for (Eigen::Index r = 0; r < repeats; ++r) blocks.col(r) = in_blocks(left.col(r));
@@ -158,14 +154,17 @@ SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& jo
   ParameterMatrix information = by_theta * by_theta.transpose();
   for (std::size_t i = 0; i < kParameterCount; ++i)
     if (held[i]) information(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(i)) = 1.0;
-  ParameterMatrix meat = ParameterMatrix::Zero();
-  for (Eigen::Index from = 0; from < readings; from += 2 * kStretch_rows) {
+  ParameterMatrix spread = ParameterMatrix::Zero();
+  int stretches = 0;
+  for (Eigen::Index from = 0; from < readings; from += 2 * kStretch_rows, ++stretches) {
     const Eigen::Index count = std::min(2 * kStretch_rows, readings - from);
-    const ParameterVector score = by_theta.middleCols(from, count) * common.segment(from, count);
-    meat += score * score.transpose();
+    const auto of_stretch = by_theta.middleCols(from, count);
+    const ParameterVector score = of_stretch * common.segment(from, count);
+    const ParameterMatrix others = information - of_stretch * of_stretch.transpose();
+    const ParameterVector moved = statistics::ScaledFactor(others).solve(score);
+    spread += moved * moved.transpose();
   }
-  const auto inverse = information.ldlt();
-  misfit.covariance_normalised = inverse.solve(inverse.solve(meat).transpose());
+  misfit.covariance_normalised = spread * (stretches - 1.0) / stretches;
   return misfit;
 }
 

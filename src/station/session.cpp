@@ -8,6 +8,7 @@
 
 #include "clampd/base/assert.hpp"
 #include "clampd/base/clock.hpp"
+#include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/record/text.hpp"
 #include "clampd/record/utc.hpp"
 #include "clampd/station/cause.hpp"
@@ -257,6 +258,22 @@ void CheckSession::question_failure(CheckRecord& record) {
       diagnosis->summary, failure);
 }
 
+/// Tests whether the repeats have something in common that the model lacks; where that may move a parameter
+/// by more than its standard deviation, the deviations grow by as much.
+void CheckSession::count_misfit(const Estimate& joint, CheckRecord& record, ParameterVector& sd) const {
+  const SystematicMisfit misfit = systematic_misfit(
+      runs_of(record), joint,
+      joint.method == Method::PredictionError ? ResidualKind::Innovations : ResidualKind::OutputError);
+  if (!misfit.can_tell) return;
+  const ParameterVector by_misfit =
+      misfit.covariance_normalised.diagonal().cwiseMax(0.0).cwiseSqrt().cwiseProduct(
+          nominal_parameters().cwiseAbs());
+  const double moved_sd = by_misfit.cwiseQuotient(sd).maxCoeff();
+  record.systematic = {misfit.p_value, misfit.over_noise, moved_sd,
+                       misfit.is_significant() && moved_sd > 1.0};
+  if (record.systematic->marked) sd = (sd.cwiseAbs2() + by_misfit.cwiseAbs2()).cwiseSqrt();
+}
+
 CheckRecord CheckSession::finish(CheckOutcome outcome) {
   IdentificationWorker::Outcome identified = worker_.finish();
   const Estimate& joint = identified.joint;
@@ -308,6 +325,7 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   if (facts.estimated) {
     facts.estimate = joint.parameters.theta;
     facts.sd = sd_with_tare(joint, collector_.tare());
+    count_misfit(joint, record, facts.sd);
     const ExpectedResidual expected = expected_residual(collector_.tare(), record.runs, configuration_.model,
                                                         configuration_.validity.torque_noise_Nm);
     facts.effects = with_tare_sd(joint.effects, collector_.tare());
@@ -327,6 +345,13 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   record.reason = std::move(judgement.reason);
   record.parameters = std::move(judgement.parameters);
   if (judgement.undecided && by_output_errors) record.reason += advice_on_method(record, facts.sd);
+  if (record.systematic && record.systematic->marked && is_about_the_brake(record.verdict))
+    record.reason += fmt::format(
+        " Note: the model does not explain all of this brake's motion (systematic residual {:.2g} times the "
+        "noise "
+        "of one repeat); the uncertainties count it. `clampctl results {} --runs DIR` writes its runs for "
+        "`clampctl diagnose`.",
+        record.systematic->over_noise, record.id);
   if (!configuration_.check.diagnose) return record;
   // Runs that nothing explains, or something else than the model, say nothing about limits: still an ERROR.
   if (judgement.unexplained && name_cause(record) && !record.cause && facts.other_method.empty())

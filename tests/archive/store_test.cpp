@@ -13,6 +13,7 @@
 #include <gtest/gtest.h>
 
 #include "clampd/archive/json.hpp"
+#include "src/archive/chain.hpp"
 #include "support/check_records.hpp"
 #include "support/temporary_directory.hpp"
 
@@ -136,7 +137,9 @@ void undo_steps_7_and_8(SQLite::Database& database) {
     plain.exec();
   }
   database.exec(
-      "DROP TABLE chain; DROP TABLE amendments; ALTER TABLE runs DROP COLUMN data; PRAGMA application_id = "
+      "DROP TABLE chain; DROP TABLE amendments; ALTER TABLE runs DROP COLUMN data; ALTER TABLE checks DROP "
+      "COLUMN "
+      "systematic; PRAGMA application_id = "
       "0; "
       "PRAGMA user_version = 6");
 }
@@ -165,7 +168,7 @@ TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
     old.exec("ALTER TABLE checks DROP COLUMN cause");
     old.exec("PRAGMA user_version = 2");
   }
-  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 8"));
+  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 10"));
   CheckStore store = open();
   const auto loaded = store.load("last");
   ASSERT_TRUE(loaded) << loaded.error().message;
@@ -217,6 +220,44 @@ TEST_F(Store, SealsWhatAnOlderVersionSaved) {
   EXPECT_EQ(found->runs, 14U);
   EXPECT_EQ(found->runs_removed, 6U);
   EXPECT_EQ(store.load("20261119")->runs[1].run.force_N, make_check_record().runs[1].run.force_N);
+}
+
+TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
+  const std::string id = make_check_record().id;
+  {
+    CheckStore store = open();
+    ASSERT_TRUE(store.save(make_check_record()));
+  }
+  {
+    SQLite::Database old(path, SQLite::OPEN_READWRITE);
+    ChainLink link{.position = 1,
+                   .check_id = id,
+                   .amendment = {},
+                   .format = 1,
+                   .content_sha256 = {},
+                   .chain_sha256 = {}};
+    link.content_sha256 = ContentDigest(old).of_check(id, 1).value();
+    SQLite::Statement seal(old, "UPDATE chain SET format = 1, content_sha256 = ?, chain_sha256 = ?");
+    seal.bind(1, link.content_sha256);
+    seal.bind(2, link_sha256(link, ""));
+    seal.exec();
+    old.exec("ALTER TABLE checks DROP COLUMN systematic; PRAGMA user_version = 8");
+  }
+  CheckStore store = open();
+  CheckRecord later = make_check_record("20261121T000000000Z-00000000");
+  later.systematic = SystematicRecord{1e-9, 0.6, 3.5, true};
+  ASSERT_TRUE(store.save(later));
+  EXPECT_EQ(store.load(later.id)->systematic, later.systematic);
+  EXPECT_FALSE(store.load(id)->systematic);
+  EXPECT_THAT(store.verify()->damage, ::testing::IsEmpty());
+  for (const std::string& changed : {id, later.id}) {
+    SQLite::Database database(path, SQLite::OPEN_READWRITE);
+    SQLite::Statement change(database, "UPDATE checks SET systematic = '{}' WHERE id = ?");
+    change.bind(1, changed);
+    change.exec();
+  }
+  EXPECT_EQ(store.verify()->damage.size(), 2U)
+      << "what came later is sealed too, and none of it is put into old checks";
 }
 
 TEST_F(Store, NumbersOutboxesOfOldInTimeThatGrowsWithTheirLength) {
@@ -524,7 +565,7 @@ TEST_F(Store, AdoptsNoDatabaseOfAnotherProgram) {
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 8);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 10);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

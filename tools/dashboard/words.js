@@ -57,6 +57,7 @@ const kActions = {
 /** What to do now that this check is over. */
 export function actionText(record) {
   if (record.verdict === 'PASS' && record.marginal) return 'Passed, close to a limit. Take the brake out, then scan the next one.';
+  if (record.verdict === 'PASS' && record.systematic_misfit?.marked) return 'Passed, with a note for maintenance. Take the brake out, then scan the next one.';
   const where = record.verdict === 'ERROR' && kLocationActions[record.cause?.location];
   return where ? `Nothing is said about this brake. ${where} Then check it again.` : kActions[record.verdict] ?? '';
 }

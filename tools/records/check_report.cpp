@@ -398,10 +398,12 @@ Result<std::string> check_report(const CheckReportContents& contents) {
     page.paragraph(fmt::format("This record is void since {}, as {} said: {} It counts in no statistics.",
                                readable(check.voided->when), check.voided->by, check.voided->reason));
   if (check.cause) {
-    page.section("Cause");
+    const bool explains = check.cause->verdict != "unexplained";
+    page.section(explains ? "Cause" : "What the model does not explain");
     std::vector<std::pair<std::string, std::string>> entries{{"Diagnosis", check.cause->summary}};
     if (!check.cause->effects.empty())
-      entries.emplace_back("Effects", fmt::format("{}", fmt::join(check.cause->effects, ", ")));
+      entries.emplace_back(explains ? "Effects" : "Tried, and not enough",
+                           fmt::format("{}", fmt::join(check.cause->effects, ", ")));
     if (!check.cause->location.empty()) entries.emplace_back("Where", check.cause->location);
     for (const auto& rivals : check.cause->rivals)
       entries.emplace_back("These runs cannot tell apart", fmt::format("{}", fmt::join(rivals, ", ")));

@@ -52,6 +52,8 @@ LineStatistics line_statistics(std::vector<CheckRecord> newest_first, const std:
   for (const CheckRecord& check : checks) {
     statistics.passed += check.verdict == Verdict::Pass ? 1 : 0;
     statistics.failed += check.verdict == Verdict::Fail ? 1 : 0;
+    statistics.marked +=
+        is_about_the_brake(check.verdict) && check.systematic && check.systematic->marked ? 1 : 0;
     statistics.invalid += is_about_the_brake(check.verdict) ? 0 : 1;
     if (const auto last = counted.find(check.serial); last == counted.end() || last->second != &check)
       continue;

@@ -31,6 +31,7 @@ struct LineStatistics {
   std::size_t passed = 0;
   std::size_t failed = 0;
   std::size_t invalid = 0;          ///< ERROR, TIMEOUT, ABORTED
+  std::size_t marked = 0;           ///< passed or failed, but the model does not explain all of the motion
   std::size_t simulated = 0;        ///< checks of simulated brakes
   bool simulated_left_out = false;  ///< since there are real ones too, and only those are counted then
   std::size_t voided = 0;           ///< void checks, which are counted nowhere else

@@ -109,6 +109,7 @@ ordered_json statistics_json(const LineStatistics& statistics) {
           {"passed", statistics.passed},
           {"failed", statistics.failed},
           {"invalid", statistics.invalid},
+          {"misfit_marked", statistics.marked},
           {"simulated", statistics.simulated},
           {"void", statistics.voided},
           {"simulated_left_out", statistics.simulated_left_out},
@@ -132,6 +133,12 @@ std::string format_statistics(const LineStatistics& statistics) {
                         statistics.simulated_left_out ? " are left out, since there are real ones" : "");
   if (statistics.voided > 0) text += fmt::format("; {} void are left out", statistics.voided);
   text += fmt::format("\n{} brakes, the last valid check of each\n\n", statistics.serials.size());
+  if (statistics.marked > 0)
+    text += fmt::format(
+        "The model does not explain all of the motion in {} of these checks: what it lacks is part of the "
+        "spread "
+        "below, not only the brakes.\n\n",
+        statistics.marked);
   if (statistics.parameters.empty())
     return text + "Capability needs at least two brakes with a valid check.\n";
 

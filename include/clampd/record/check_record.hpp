@@ -72,6 +72,16 @@ struct CauseRecord {
   bool operator==(const CauseRecord&) const = default;
 };
 
+/// What the repeats of a check have in common beside the model, as its test has it.
+struct SystematicRecord {
+  double p_value = 1.0;     ///< chance that noise alone shows as much
+  double over_noise = 0.0;  ///< rms of what they have in common over that of one repeat's noise
+  double moved_sd = 0.0;    ///< the most that it may move a parameter, over its sd by the noise alone
+  bool marked = false;      ///< significant, and it may move a parameter by more than that sd: sd count it
+
+  bool operator==(const SystematicRecord&) const = default;
+};
+
 /// Why a record does not count any more.
 struct VoidRecord {
   std::string reason;
@@ -107,6 +117,8 @@ struct CheckRecord {
   std::string reason;  ///< one sentence a technician understands
   FaultCause fault = FaultCause::None;
   std::optional<CauseRecord> cause;  ///< of an ERROR or FAIL whose runs the model does not explain
+
+  std::optional<SystematicRecord> systematic;  ///< nothing where it cannot be told, as from a few repeats
 
   std::optional<VoidRecord> voided;  ///< said later: it stays on record, but counts in no statistics
 

@@ -104,6 +104,7 @@ class CheckSession {
   const Diagnosis* name_cause(CheckRecord& record);
   void question_failure(CheckRecord& record);
   std::string advice_on_method(const CheckRecord& record, const ParameterVector& sd) const;
+  void count_misfit(const Estimate& joint, CheckRecord& record, ParameterVector& sd) const;
 
   StationConfiguration configuration_;
   LimitSet limits_;
