@@ -48,4 +48,16 @@ bool is_in_the_readings(const Diagnosis& diagnosis) {
          });
 }
 
+bool may_be_the_scale_of_force(const Diagnosis& diagnosis) {
+  const auto like_a_scale = [](std::string_view name) {
+    const Effect* effect = find_effect(name);
+    return effect != nullptr && info_of(*effect).is_like_a_scale_of_force;
+  };
+  return std::any_of(diagnosis.effects.begin(), diagnosis.effects.end(),
+                     [&](const NamedEffect& effect) { return like_a_scale(effect.name); }) ||
+         std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(), [&](const auto& group) {
+           return std::any_of(group.begin(), group.end(), like_a_scale);
+         });
+}
+
 }  // namespace clampd

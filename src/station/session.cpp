@@ -234,11 +234,23 @@ std::string CheckSession::advice_on_method(const CheckRecord& record, const Para
 }
 
 /// A brake fails for what it is, not for how it was read: where readings or timing are at fault, and with
-/// that taken into account no parameter fails any more, the verdict is the station's ERROR.
+/// that taken into account no parameter fails any more, the verdict is the station's ERROR. So it is where
+/// the force reading's scale is in doubt, by which stiffness and friction are read.
 void CheckSession::question_failure(CheckRecord& record) {
   const std::string failure = record.reason;
   const Diagnosis* diagnosis = name_cause(record);
-  if (diagnosis == nullptr || !is_in_the_readings(*diagnosis)) return;
+  if (diagnosis == nullptr) return;
+  if (may_be_the_scale_of_force(*diagnosis)) {
+    record.verdict = Verdict::Error;
+    record.marginal = false;
+    record.reason = fmt::format(
+        "Force and torque contradict each other, so that nothing is said about the brake: {} Check the load "
+        "cell's "
+        "scale, then the gear. Read as if both were right: {}",
+        diagnosis->summary, failure);
+    return;
+  }
+  if (!is_in_the_readings(*diagnosis)) return;
   for (const ParameterRecord& failed : record.parameters) {
     if (failed.value >= failed.lower && failed.value <= failed.upper) continue;
     const auto index = find_parameter(failed.name);

@@ -11,6 +11,7 @@
 #include "clampd/experiment/manoeuvres.hpp"
 #include "rt/control_core.hpp"
 #include "tests/scenario/scenario.hpp"
+#include "tests/tools/embedded_check.hpp"
 
 namespace clampd::scenario {
 namespace {
@@ -21,6 +22,8 @@ using sim::Spoil;
 constexpr double kAfter_s = 0.3;
 constexpr int kLongest = 100'000;           // samples
 constexpr double kHarmlessDeviation = 0.1;  // of the noise, rms over a run
+constexpr double kFar_sd =
+    5.0;  // beyond the guard band (2 sd) and beyond what chance does in 100,000 parameters
 
 /// The simulated brake as the station's port: what a bus would carry, without the bus.
 class DirectPort final : public BrakePort {
@@ -129,6 +132,22 @@ void count(SpoilTally& tally, const sim::SpoiledReading& spoiled, const CheckOut
   } else {
     ++tally.undetected;
   }
+}
+
+/// What the supervisor lets pass, the estimate has to notice: the same brake in a whole check.
+std::string judge(SpoilTally& tally, const sim::PlantConfiguration& plant) {
+  const CheckRecord record = assembly::check(plant, 20);
+  tally.errors += record.verdict == Verdict::Error ? 1 : 0;
+  if (record.verdict == Verdict::Pass || record.verdict == Verdict::Fail)
+    for (std::size_t k = 0; k < kParameterCount; ++k) {
+      const ParameterRecord& p = record.parameters[k];
+      const double true_value = plant.brake.theta[static_cast<Eigen::Index>(k)];
+      if (std::abs(p.value - true_value) <= kFar_sd * p.sd) continue;
+      ++tally.wrong;
+      return fmt::format("{}, {} is {:.3g} instead of {:.3g}, sd {:.2g} ({})", to_string(record.verdict),
+                         p.name, p.value, true_value, p.sd, record.reason);
+    }
+  return std::string(to_string(record.verdict));
 }
 
 double uniform(std::mt19937_64& random, double lower, double upper) {
@@ -271,6 +290,12 @@ SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed) {
     count(campaign.all, spoiled, outcome, limits);
     if (campaign.all.unsafe + campaign.all.undetected + campaign.all.faults - campaign.all.named != before)
       campaign.remarks.push_back(describe(spoiled, outcome));
+    if (outcome.fault != FaultCause::None) continue;
+    const int errors = each.errors, wrong = each.wrong;
+    const std::string verdict = judge(each, plant);
+    campaign.all.errors += each.errors - errors;
+    campaign.all.wrong += each.wrong - wrong;
+    campaign.remarks.push_back(describe(spoiled, outcome) + ": " + verdict);
   }
   return campaign;
 }
@@ -335,15 +360,16 @@ HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed) {
 }
 
 void print(std::ostream& out, const SpoilCampaign& campaign) {
-  out << fmt::format("{:9} {:8} {:>7} {:>7} {:>7} {:>9} {:>11} {:>7} {:>9} {:>8} {:>10} {:>10} {:>10}\n",
-                     "reading", "kind", "checks", "faults", "named", "harmless", "undetected", "unsafe",
-                     "max rad/s", "max N", "median ms", "95 % ms", "torque ms");
+  out << fmt::format(
+      "{:9} {:8} {:>7} {:>7} {:>7} {:>9} {:>11} {:>6} {:>6} {:>7} {:>9} {:>8} {:>10} {:>10} {:>10}\n",
+      "reading", "kind", "checks", "faults", "named", "harmless", "undetected", "ERROR", "wrong", "unsafe",
+      "max rad/s", "max N", "median ms", "95 % ms", "torque ms");
   const auto row = [&](std::string_view reading, std::string_view kind, const SpoilTally& t) {
     out << fmt::format(
-        "{:9} {:8} {:7} {:7} {:7} {:9} {:11} {:7} {:9.0f} {:8.0f} {:10.0f} {:10.0f} {:10.0f}\n", reading,
-        kind, t.checks, t.faults, t.named, t.harmless, t.undetected, t.unsafe, t.speed_max_rad_s,
-        t.force_max_N, 1e3 * quantile(t.latencies_s, 0.5), 1e3 * quantile(t.latencies_s, 0.95),
-        1e3 * t.torque_after_fault_s);
+        "{:9} {:8} {:7} {:7} {:7} {:9} {:11} {:6} {:6} {:7} {:9.0f} {:8.0f} {:10.0f} {:10.0f} {:10.0f}\n",
+        reading, kind, t.checks, t.faults, t.named, t.harmless, t.undetected, t.errors, t.wrong, t.unsafe,
+        t.speed_max_rad_s, t.force_max_N, 1e3 * quantile(t.latencies_s, 0.5),
+        1e3 * quantile(t.latencies_s, 0.95), 1e3 * t.torque_after_fault_s);
   };
   for (std::size_t r = 0; r < sim::kReadingCount; ++r)
     for (std::size_t s = 0; s < sim::kSpoilCount; ++s)

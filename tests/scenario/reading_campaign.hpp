@@ -52,6 +52,8 @@ struct SpoilTally {
   int harmless = 0;    ///< no fault, and no run that differs from what it would have read
   int undetected = 0;  ///< no fault, and a run that differs
   int unsafe = 0;      ///< beyond 1.2 times the speed limit, or 1.1 times the force limit
+  int errors = 0;      ///< of those without a fault: what the station's whole check calls an ERROR
+  int wrong = 0;       ///< of those without a fault: PASS or FAIL with a parameter that is far from the truth
   double speed_max_rad_s = 0.0;
   double force_max_N = 0.0;
   double torque_after_fault_s = 0.0;

@@ -29,7 +29,7 @@ int main(int argc, char** argv) {
     const auto campaign = clampd::scenario::run_spoil_campaign(checks, seed);
     for (const std::string& remark : campaign.remarks) std::cout << remark << '\n';
     print(std::cout, campaign);
-    good = campaign.all.unsafe == 0;
+    good = campaign.all.unsafe == 0 && campaign.all.wrong == 0;
   }
   if (healthy > 0) {
     const auto campaign = clampd::scenario::run_healthy_campaign(healthy, seed);

@@ -19,6 +19,8 @@ TEST(SpoiledReadings, NoneHarmsAndTheWrongOneIsNamed) {
   EXPECT_EQ(all.unsafe, 0);
   EXPECT_GE(all.named, 0.95 * all.faults);
   EXPECT_LE(all.undetected, 0.02 * all.checks);
+  EXPECT_EQ(all.wrong, 0) << "a verdict that rests on a wrong parameter";
+  EXPECT_GE(all.named + all.errors, 0.95 * (all.checks - all.harmless));
   EXPECT_GT(all.faults, 0.8 * all.checks) << "or there was nothing to see";
   EXPECT_LE(all.torque_after_fault_s, 0.0021) << "zero torque two samples after the one that shows it";
 }

@@ -260,6 +260,15 @@ TEST_P(Session, ABrakeDoesNotFailForHowItIsRead) {
   diagnosis = names("force-lag", nominal_parameters());
   diagnosis->rivals = {{"force-lag", "pad-damping"}};
   EXPECT_EQ(check(samples, finds(soft)).verdict, Verdict::Fail) << "it may be the brake itself";
+  // A load cell that shows half the force makes the very runs of another gear with half the stiffness.
+  diagnosis = names("ratio-error", soft);
+  const CheckRecord scaled = check(samples, finds(soft));
+  EXPECT_EQ(scaled.verdict, Verdict::Error);
+  EXPECT_THAT(scaled.reason, HasSubstr("Check the load cell's scale"));
+  EXPECT_THAT(scaled.reason, HasSubstr("k2 is"));
+  diagnosis = names("backlash", soft);
+  diagnosis->rivals = {{"backlash", "ratio-error"}};
+  EXPECT_EQ(check(samples, finds(soft)).verdict, Verdict::Error);
   diagnosis = Diagnosis{};  // adequate
   const CheckRecord plain = check(samples, finds(soft));
   EXPECT_EQ(plain.verdict, Verdict::Fail);

@@ -66,6 +66,9 @@ struct EffectInfo {
   bool repeatable = false;
   /// Its one parameter is the zero of a reading, as a tare sets it.
   bool is_zero = false;
+  /// A wrong scale of the force reading does the same in any run: then stiffness and friction are read by
+  /// that scale too.
+  bool is_like_a_scale_of_force = false;
 };
 
 /// One physical effect beside the base model, pluggable: src/brake/effects/effect_equations.hpp.

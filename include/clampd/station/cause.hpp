@@ -19,4 +19,7 @@ std::optional<CauseRecord> cause_of(const Diagnosis& diagnosis);
 /// or their timing, never the brake itself.
 bool is_in_the_readings(const Diagnosis& diagnosis);
 
+/// Whether what is named, or one of the rivals, may as well be a wrong scale of the force reading.
+bool may_be_the_scale_of_force(const Diagnosis& diagnosis);
+
 }  // namespace clampd

@@ -9,16 +9,18 @@ using Role = EffectParameter::Role;
 class RatioError final : public EquationsOf<RatioError> {
  public:
   const EffectInfo& info() const override {
-    static const EffectInfo kInfo{.name = "ratio-error",
-                                  .location = Location::TorqueBalance,
-                                  .cause = "the gear has another ratio than assumed",
-                                  .excitation = "load in both directions of motion",
-                                  .parameters = {{.name = "relative",
-                                                  .unit = "1",
-                                                  .description = "deviation of N from its fixed value",
-                                                  .lower = -0.8,
-                                                  .upper = 1.5,
-                                                  .scale = 0.05}}};
+    static const EffectInfo kInfo{
+        .name = "ratio-error",
+        .location = Location::TorqueBalance,
+        .cause = "the gear has another ratio than assumed, or the force reading another scale",
+        .excitation = "load in both directions of motion",
+        .parameters = {{.name = "relative",
+                        .unit = "1",
+                        .description = "deviation of N from its fixed value",
+                        .lower = -0.8,
+                        .upper = 1.5,
+                        .scale = 0.05}},
+        .is_like_a_scale_of_force = true};
     return kInfo;
   }
   template <class T>
