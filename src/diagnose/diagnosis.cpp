@@ -389,7 +389,7 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
       diagnosis.misfit.location = (is_unexplained ? after : before).hint;
   }
 
-  // What these runs could not have shown, seen from the final model where that explains them.
+  // What these runs could not have shown beside the base model.
   if (!selection.stages.empty())
     for (const Candidate& candidate : selection.stages.front())
       if (candidate.blindness > kBlind && !candidate.is_fitted)

@@ -43,8 +43,7 @@ struct Candidate {
   std::vector<Start> starts;  ///< most promising first
   double predicted_gain = 0.0;
   double predicted_evidence = 0.0;
-  /// The standard deviation of its strength at its neutral value over the change that matters; below one the
-  /// runs show it.
+  /// The standard deviation of its strength at its neutral value over the change that matters.
   double blindness = 0.0;
   Hypothesis fitted;
   Hypothesis twice;  ///< the same effect once more beside it, if finish() found that both are needed

@@ -230,7 +230,7 @@ void add_start(const Hypothesis& hypothesis, const Look& look, Candidate& candid
   const auto& parameters = info_of(*candidate.effect).parameters;
   candidate.starts.push_back(start_from(*candidate.effect, look.values.values, hypothesis, look.seen));
   if (!is_neutral(look.values)) return;
-  // Strengths come last or before shapes; the best known one counts.
+  // Strengths come last or before shapes; of several, the worst known one counts.
   Eigen::Index at = look.seen.sd.size();
   double blindness = 0.0;
   for (std::size_t i = parameters.size(); i-- > 0;) {

@@ -85,8 +85,8 @@ struct MisfitTest {
 struct Misfit {
   std::vector<MisfitTest> tests_before;  ///< on the base model
   std::vector<MisfitTest> tests_after;   ///< on the model with the named effects
-  std::vector<Dependence> dependences;   ///< strongest first; of what the final model leaves, or if it leaves
-                                         ///< nothing of what the base model left
+  std::vector<Dependence> dependences;   ///< strongest first; of what the final model leaves if the
+                                         ///< runs are unexplained, or else of what the base model leaves
   std::optional<Location> location;      ///< of the strongest
   /// What the named effects explain, and what their model still leaves; of drives without a force reading 0.
   double explained_nats = 0.0;
@@ -178,7 +178,7 @@ struct DiagnoseOptions {
   bool views = false;  ///< fill Diagnosis::views
   int threads = 0;     ///< 0: as many as there are processors
   int most_effects = 4;
-  double false_alarm = 0.005;  ///< chance that a faultless set is not called adequate
+  double false_alarm = 0.005;  ///< chance that an effect is named in a faultless set
   /// Called from one thread at a time with the share done and what is being done.
   std::function<void(double, const std::string&)> progress;
   /// Asked now and then, from any thread: true, which it then stays, ends the search with an error.

@@ -18,7 +18,7 @@ namespace clampd {
 /// speed in turn, and the held-out runs. Quantities are in the model file's units ("Nm" in the names of
 /// GainFigures stands for it). Diagnosis::model, noise and next_experiment stay empty.
 ///
-/// Errors: no run, a run that is too short, no motion, one direction and speed where more is needed.
+/// Errors: no run, a run that is too short, no motion.
 Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model,
                                  const DiagnoseOptions& options);
 
