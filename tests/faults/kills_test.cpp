@@ -69,7 +69,8 @@ class Victim {
 
   /// Some die at any time, some once the verdict is being made, some once it is seen.
   void watch_until_the_end(const std::string& serial) {
-    ASSERT_TRUE(station_.client().start({.serial = serial}));
+    const auto accepted = station_.client().start({.serial = serial});
+    ASSERT_TRUE(accepted) << accepted.error().message;
     ++started_;
     enum class Death { Anytime, Judging, Finished };
     const auto death =
