@@ -99,13 +99,13 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
     stretch_.begin_rad = stretch_.moved_rad = feedback.position_rad;
     smooth_force_N_ = force_N_;
     pairs_.fill({force_N_, feedback.position_rad});
-    observer_.reset(feedback.position_rad);
+    observer_.reset({.position_rad = feedback.position_rad});
   } else {
     // The observer stands at the sample after the last one; a gap is bridged with the torque that acted
     // before it.
     const std::int64_t gap = feedback.sample_index - index_ - 1;
     if (gap > kMaximumGap)
-      observer_.reset(feedback.position_rad);
+      observer_.reset({.position_rad = feedback.position_rad});
     else if (gap > 0)
       observer_.predict(plan_->drive, last_.torque_Nm, force_N_, static_cast<int>(gap));
   }
@@ -133,9 +133,11 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
   } else {
     const double torque_Nm = decide(feedback);
     const double slope_N_rad =
-        contact_known_ ? stiffness_.slope_N_rad(observer_.position_rad() - stiffness_.contact_rad()) : 0.0;
+        contact_known_ ? stiffness_.curve().slope_N_rad(observer_.position_rad() - stiffness_.contact_rad())
+                       : 0.0;
     const ControlLimits limits{.torque_Nm = plan_->torque_limit_Nm};
-    output.torque_Nm = limited_torque_Nm(torque_Nm, limits, plan_->drive, observer_, force_N_, slope_N_rad);
+    output.torque_Nm =
+        limited_torque_Nm(torque_Nm, limits, plan_->drive, observer_.velocity_rad_s(), force_N_, slope_N_rad);
   }
   output.context = {.at_rest = stage_ == Stage::Tare,
                     .stop_ahead = stage_ == Stage::Open || stage_ == Stage::Release,
@@ -161,7 +163,7 @@ const CheckSequence::ForcePair& CheckSequence::median_pair(const ForcePair& newe
 void CheckSequence::compare_stiffness() noexcept {
   const double u = observer_.position_rad() - proof_.origin_rad;
   if (u <= 0.0) return;
-  const double nominal_N = (plan_->drive.cubic_N_rad3 * u + plan_->drive.quadratic_N_rad2) * u * u;
+  const double nominal_N = plan_->drive.stiffness().force_N(u);
   if (nominal_N < kComparedForce_N) return;
   run_force_N_ += force_N_;
   run_nominal_N_ += nominal_N;
@@ -231,7 +233,7 @@ double CheckSequence::open() noexcept {
     enter(Stage::Rest);
   }
   if (still_samples_ >= kStallSamples && force_N < plan_->contact_force_N * kLearnFactor) enter(Stage::Rest);
-  return std::clamp(velocity_torque_Nm(-kOpeningSpeed_rad_s, 0.0, plan_->drive, observer_, force_N),
+  return std::clamp(velocity_torque_Nm(-kOpeningSpeed_rad_s, 0.0, plan_->drive, observer_.state(), force_N),
                     -kOpeningTorque_Nm, kOpeningTorque_Nm);
 }
 
@@ -243,7 +245,7 @@ double CheckSequence::rest() noexcept {
     enter(plan_->open_only ? Stage::Done : Stage::Tare);
   }
   if (still_samples_ > 0) return 0.0;
-  return velocity_torque_Nm(0.0, 0.0, plan_->drive, observer_, 0.0);
+  return velocity_torque_Nm(0.0, 0.0, plan_->drive, observer_.state(), 0.0);
 }
 
 double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
@@ -255,7 +257,7 @@ double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
   velocity_offset_rad_s_ = sum_velocity_rad_s_ / tare_samples_;
   smooth_force_N_ = 0.0;
   pairs_.fill({0.0, feedback.position_rad});
-  observer_.reset(feedback.position_rad);
+  observer_.reset({.position_rad = feedback.position_rad});
   proof_ = {.begin_rad = feedback.position_rad};
   enter(Stage::Approach);
   return 0.0;
@@ -293,7 +295,7 @@ double CheckSequence::approach() noexcept {
   const double holding_Nm =
       plan_->drive.ratio_m_rad * wanted_N + 2.0 * plan_->drive.dry_friction_Nm(0.0, wanted_N);
   const double limit_Nm = std::max(kApproachTorque_Nm, 1.5 * holding_Nm);
-  return std::clamp(velocity_torque_Nm(plan_->approach_velocity_rad_s, 0.0, plan_->drive, observer_,
+  return std::clamp(velocity_torque_Nm(plan_->approach_velocity_rad_s, 0.0, plan_->drive, observer_.state(),
                                        std::max(0.0, smooth_force_N_)),
                     -limit_Nm, limit_Nm);
 }
@@ -309,7 +311,7 @@ double CheckSequence::move_to_start() noexcept {
     enter(Stage::Settle);
     return 0.0;
   }
-  return move_torque_Nm(start_position_rad(), kMoveSpeed_rad_s, plan_->drive, observer_,
+  return move_torque_Nm(start_position_rad(), kMoveSpeed_rad_s, plan_->drive, observer_.state(),
                         std::max(0.0, force_N_));
 }
 
@@ -348,7 +350,8 @@ double CheckSequence::release() noexcept {
     enter(Stage::Done);
     return 0.0;
   }
-  return move_torque_Nm(target_rad, kMoveSpeed_rad_s, plan_->drive, observer_, std::max(0.0, force_N_));
+  return move_torque_Nm(target_rad, kMoveSpeed_rad_s, plan_->drive, observer_.state(),
+                        std::max(0.0, force_N_));
 }
 
 }  // namespace clampd::rt

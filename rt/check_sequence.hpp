@@ -4,13 +4,14 @@
 #include <cstdint>
 
 #include "clampd/base/realtime.hpp"
+#include "clampd/control/control_law.hpp"
+#include "clampd/control/motion_observer.hpp"
+#include "clampd/control/nominal_drive.hpp"
+#include "clampd/control/stiffness_estimate.hpp"
 #include "clampd/record/brake_port.hpp"
 #include "clampd/record/reference.hpp"
 #include "clampd/record/sample.hpp"
-#include "rt/force_controller.hpp"
-#include "rt/motion_observer.hpp"
 #include "rt/reading_monitor.hpp"
-#include "rt/stiffness_estimate.hpp"
 
 namespace clampd::rt {
 

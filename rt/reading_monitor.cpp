@@ -113,18 +113,17 @@ double ReadingMonitor::friction_Nm(double speed_rad_s, double force_N) const noe
 /// Of the nominal brake where it has this force.
 double ReadingMonitor::slope_N_rad(double force_N) const noexcept {
   if (force_N <= 0.0) return 0.0;
-  const double cubic = drive_.cubic_N_rad3, quadratic = drive_.quadratic_N_rad2;
+  const StiffnessCurve nominal = drive_.stiffness();
+  const double cubic = nominal.cubic_N_rad3, quadratic = nominal.quadratic_N_rad2;
   double u = std::sqrt(force_N / quadratic);
   // A cubic with k1 < 0 turns over at the end; its steepest place is half way, and it is steep enough to
   // there.
   const double end_rad = cubic < 0.0 ? 0.55 * quadratic / -cubic * (2.0 / 3.0) : 1e3;
   for (int i = 0; i < 2; ++i) {
     u = std::min(u, end_rad);
-    const double slope = (3.0 * cubic * u + 2.0 * quadratic) * u;
-    u -= ((cubic * u + quadratic) * u * u - force_N) / std::max(slope, 1.0);
+    u -= (nominal.force_N(u) - force_N) / std::max(nominal.slope_N_rad(u), 1.0);
   }
-  u = std::clamp(u, 0.0, end_rad);
-  return (3.0 * cubic * u + 2.0 * quadratic) * u;
+  return nominal.slope_N_rad(std::clamp(u, 0.0, end_rad));
 }
 
 double ReadingMonitor::nominal_N(double compression_rad) const noexcept {
@@ -132,7 +131,7 @@ double ReadingMonitor::nominal_N(double compression_rad) const noexcept {
   // Beyond the top of the nominal curve nothing is known but that the force is there.
   const double top_rad = cubic < 0.0 ? 2.0 / 3.0 * quadratic / -cubic : compression_rad;
   const double u = std::clamp(compression_rad, 0.0, std::max(0.0, top_rad));
-  return (cubic * u + quadratic) * u * u;
+  return drive_.stiffness().force_N(u);
 }
 
 void ReadingMonitor::compare_torque(double samples) noexcept {

@@ -5,9 +5,9 @@
 
 #include "clampd/base/realtime.hpp"
 #include "clampd/base/result.hpp"
+#include "clampd/control/nominal_drive.hpp"
 #include "clampd/record/brake_port.hpp"
 #include "clampd/record/sample.hpp"
-#include "rt/nominal_drive.hpp"
 
 namespace clampd::rt {
 

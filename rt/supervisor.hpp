@@ -5,6 +5,7 @@
 #include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/base/result.hpp"
+#include "clampd/control/nominal_drive.hpp"
 #include "clampd/record/brake_port.hpp"
 #include "clampd/record/interlocks.hpp"
 #include "clampd/record/sample.hpp"

@@ -130,6 +130,20 @@ Result<void> ReferenceOptions::validate() const {
   return {};
 }
 
+NominalDrive nominal_drive(const BrakeParameters& nominal) {
+  NominalDrive drive;
+  drive.inertia_kg_m2 = nominal.fixed.inertia_kg_m2;
+  drive.ratio_m_rad = nominal.fixed.ratio_m_rad;
+  drive.cubic_N_rad3 = nominal.theta[k1];
+  drive.quadratic_N_rad2 = nominal.theta[k2];
+  drive.coulomb_Nm = nominal.theta[TC];
+  drive.static_Nm = nominal.theta[Ts0];
+  drive.viscous_Nm_s_rad = nominal.theta[Tv];
+  drive.load_friction_Nm_N = nominal.theta[mus];
+  drive.stribeck_rad_s = nominal.theta[ws];
+  return drive;
+}
+
 Result<Reference> build_reference(const Run& trajectory, const BrakeParameters& nominal,
                                   const ReferenceOptions& options) {
   const PaperBrake brake = paper_brake(nominal);

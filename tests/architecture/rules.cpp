@@ -20,14 +20,15 @@ const std::map<std::string_view, Rooms>& arrows() {
       {"record", {"base"}},
       {"brake", {"record", "base"}},
       {"identify", {"brake", "record", "statistics", "base"}},
-      {"experiment", {"identify", "brake", "record", "statistics", "base"}},
+      {"control", {"record", "base"}},
+      {"experiment", {"control", "identify", "brake", "record", "statistics", "base"}},
       {"diagnose", {"identify", "brake", "record", "statistics", "base"}},
       {"station", {"diagnose", "experiment", "identify", "brake", "record", "base"}},
       {"archive", {"record", "base"}},
       {"publish", {"archive", "record", "base"}},
       {"quality", {"statistics", "base"}},
       {"report", {"base"}},
-      {"rt", {"record", "base"}},
+      {"rt", {"control", "record", "base"}},
       {"drivers/can", {"record", "base"}},
       {"drivers/gpio", {"record", "base"}},
       {"drivers/sim", {"record", "base"}},
@@ -147,10 +148,11 @@ struct RealtimeBan {
   const char* what;
 };
 
-/// Set-up code that lives in rt/ and may do what the tick may not.
-bool is_setup_code(std::string_view path) {
-  return starts_with(path, "rt/cyclic_thread") || starts_with(path, "rt/readiness") ||
-         starts_with(path, "rt/supervisor_settings");
+/// All of control and rt, but for the set-up code that lives in rt/ and may do what the tick may not.
+bool is_realtime_path(std::string_view path, std::string_view room) {
+  const bool is_setup_code = starts_with(path, "rt/cyclic_thread") || starts_with(path, "rt/readiness") ||
+                             starts_with(path, "rt/supervisor_settings");
+  return room == "control" || (room == "rt" && !is_setup_code);
 }
 
 void check_includes(const std::string& path, std::string_view room, std::string_view content,
@@ -225,7 +227,7 @@ std::vector<std::string> violations(const std::string& path, std::string_view co
   if (!room || *room == "tests") return found;
   check_includes(path, *room, content, found);
   const std::string code = code_only(content, false);
-  if (*room == "rt" && !is_setup_code(path)) check_realtime_path(path, code, found);
+  if (is_realtime_path(path, *room)) check_realtime_path(path, code, found);
   check_marks(path, code, found);
   return found;
 }

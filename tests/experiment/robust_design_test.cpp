@@ -6,7 +6,6 @@
 #include <gtest/gtest.h>
 
 #include "clampd/experiment/reference.hpp"
-#include "src/experiment/closed_loop.hpp"
 
 namespace clampd {
 namespace {
@@ -41,36 +40,6 @@ TEST(RobustPrior, RepeatsForASeed) {
   const auto second = draw_prior({}, 20, 7);
   for (std::size_t k = 0; k < first.size(); ++k) EXPECT_EQ(first[k].theta, second[k].theta);
   EXPECT_NE(draw_prior({}, 20, 8)[0].theta, first[0].theta);
-}
-
-TEST(ClosedLoop, NominalBrakeFollowsExactly) {
-  const auto run = response_to(kept_design(), 20, {});
-  const Reference reference = build_reference(run, {}).value();
-  TrackedRun tracked;
-  ClosedLoop({}, 3.0).track(reference, {}, tracked);
-  ASSERT_TRUE(tracked.bounded);
-  ASSERT_EQ(tracked.torque_Nm.size(), run.size());
-  for (std::size_t k = 0; k < run.size(); ++k) EXPECT_NEAR(tracked.torque_Nm[k], run.torque_Nm[k], 1e-6);
-  EXPECT_LT(tracked.tracking_rms_N, 1e-3);
-}
-
-TEST(ClosedLoop, EveryBrakeOfThePriorFollowsWithinTheLimits) {
-  const auto run = response_to(kept_design(), 20, {});
-  const Reference reference = build_reference(run, {}).value();
-  const ClosedLoop loop({}, 3.0);
-  TrackedRun tracked;
-  int followed = 0;
-  for (const BrakeParameters& brake : draw_prior({}, 300, 11)) {
-    loop.track(reference, brake, tracked);
-    ASSERT_TRUE(tracked.bounded);
-    EXPECT_LT(tracked.force_max_N, 30e3);
-    EXPECT_LT(tracked.velocity_max_rad_s, 300.0);
-    // The softest pads run out of stiffness at the top.
-    EXPECT_LT(tracked.tracking_rms_N, 1000.0);
-    followed += tracked.tracking_rms_N < 50.0 ? 1 : 0;
-    for (const double torque_Nm : tracked.torque_Nm) ASSERT_LE(std::abs(torque_Nm), 3.0);
-  }
-  EXPECT_GT(followed, 270);
 }
 
 RobustGain gain_of_kept_design(const NoiseLevels& noise) {

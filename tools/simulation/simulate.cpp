@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "clampd/base/clock.hpp"
+#include "clampd/experiment/reference.hpp"
 #include "rt/check_sequence.hpp"
 
 namespace clampd {
@@ -24,20 +25,6 @@ void append(SimulatedRun& run, const BrakeFeedback& feedback, const sim::Simulat
 }
 
 }  // namespace
-
-rt::NominalDrive nominal_drive(const BrakeParameters& nominal) {
-  rt::NominalDrive drive;
-  drive.inertia_kg_m2 = nominal.fixed.inertia_kg_m2;
-  drive.ratio_m_rad = nominal.fixed.ratio_m_rad;
-  drive.cubic_N_rad3 = nominal.theta[k1];
-  drive.quadratic_N_rad2 = nominal.theta[k2];
-  drive.coulomb_Nm = nominal.theta[TC];
-  drive.static_Nm = nominal.theta[Ts0];
-  drive.viscous_Nm_s_rad = nominal.theta[Tv];
-  drive.load_friction_Nm_N = nominal.theta[mus];
-  drive.stribeck_rad_s = nominal.theta[ws];
-  return drive;
-}
 
 SimulatedCheck simulate_check(const sim::PlantConfiguration& plant, const Reference& reference,
                               const BrakeParameters& nominal, const SimulationOptions& options) {

@@ -9,12 +9,8 @@
 #include "clampd/record/run.hpp"
 #include "clampd/record/sample.hpp"
 #include "drivers/sim/simulated_brake.hpp"
-#include "rt/nominal_drive.hpp"
 
 namespace clampd {
-
-/// What the loop needs of the nominal brake.
-rt::NominalDrive nominal_drive(const BrakeParameters& nominal);
 
 /// One repeat: the readings as a run file holds them, and what really was at each of its rows.
 struct SimulatedRun {

@@ -2,6 +2,7 @@
 
 #include "clampd/base/result.hpp"
 #include "clampd/brake/parameters.hpp"
+#include "clampd/control/nominal_drive.hpp"
 #include "clampd/record/reference.hpp"
 #include "clampd/record/run.hpp"
 
@@ -40,5 +41,8 @@ struct ReferenceOptions {
 /// brake: such a trajectory was designed for another brake.
 Result<Reference> build_reference(const Run& trajectory, const BrakeParameters& nominal,
                                   const ReferenceOptions& options = {});
+
+/// What the control law needs to know of the nominal brake.
+NominalDrive nominal_drive(const BrakeParameters& nominal);
 
 }  // namespace clampd

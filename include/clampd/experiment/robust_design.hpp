@@ -38,8 +38,9 @@ struct RobustOptions {
   std::size_t samples = 300;
   std::size_t block_samples = 20;
   NoiseLevels noise{.sensors = {}, .torque_Nm = 0.0142};
-  /// For every brake of the prior under feedback; the torque is clamped by the loop. Closer than what the
-  /// brake bears: for brakes and noise that no sample shows.
+  /// For every brake of the prior under feedback, without the loop's own limits of force and speed, which no
+  /// design shall count on; the torque is clamped by the loop. Closer than what the brake bears: for brakes
+  /// and noise that no sample shows.
   DesignLimits limits{
       .torque_Nm = 3.0, .force_N = 29.5e3, .velocity_rad_s = 295.0, .end_velocity_rad_s = 20.0};
   std::size_t search_brakes = 16;   ///< of the prior, for the search
@@ -67,7 +68,8 @@ struct RobustEvaluation {
 };
 
 /// Every brake tracks `trajectory` (of the nominal brake, all columns) in the closed loop; the torque that
-/// results is its excitation. Errors: those of build_reference().
+/// results, after all of the loop's limits, is its excitation. The largest force and speed are those without
+/// the loop's limits of force and speed. Errors: those of build_reference().
 Result<RobustEvaluation> evaluate_robust(const Run& trajectory, const BrakeParameters& nominal,
                                          std::span<const BrakeParameters> brakes, const NoiseLevels& noise,
                                          double torque_limit_Nm = 3.0);

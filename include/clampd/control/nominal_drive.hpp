@@ -1,14 +1,14 @@
 #pragma once
 
 #include <algorithm>
-#include <cmath>
 
 #include "clampd/base/realtime.hpp"
+#include "clampd/control/stiffness_curve.hpp"
 
-namespace clampd::rt {
+namespace clampd {
 
-/// What the loop needs to know of the product's nominal brake, as plain numbers: this room knows no brake
-/// model. Friction is (4) and (5) of the paper with the sign in place of tanh.
+/// What the control law needs to know of the product's nominal brake, as plain numbers: this room knows no
+/// brake model. Friction is (4) and (5) of the paper with the sign in place of tanh.
 struct NominalDrive {
   double inertia_kg_m2 = 2.91e-4;
   double ratio_m_rad = 2.63e-5;
@@ -20,6 +20,8 @@ struct NominalDrive {
   double load_friction_Nm_N = 3.55e-5;
   double stribeck_rad_s = 2.89e1;
 
+  CLAMPD_REALTIME StiffnessCurve stiffness() const noexcept { return {cubic_N_rad3, quadratic_N_rad2}; }
+
   /// Friction torque without its viscous part, as a magnitude.
   CLAMPD_REALTIME double dry_friction_Nm(double speed_rad_s, double force_N) const noexcept {
     const double ratio = speed_rad_s / stribeck_rad_s;
@@ -28,4 +30,4 @@ struct NominalDrive {
   }
 };
 
-}  // namespace clampd::rt
+}  // namespace clampd

@@ -1,9 +1,10 @@
 #pragma once
 
 #include "clampd/base/realtime.hpp"
-#include "rt/nominal_drive.hpp"
+#include "clampd/control/nominal_drive.hpp"
+#include "clampd/control/stiffness_curve.hpp"
 
-namespace clampd::rt {
+namespace clampd {
 
 /// The stiffness curve of the very brake on the bench, learned while it moves: F = s2 k2 u^2 + s1 k1 u^3 with
 /// u = encoder - contact - delay * velocity, by an extended Kalman filter for (s2, s1, contact, delay). It
@@ -19,14 +20,9 @@ class StiffnessEstimate {
   CLAMPD_REALTIME void learn(double position_rad, double force_N, double velocity_rad_s) noexcept;
 
   CLAMPD_REALTIME double contact_rad() const noexcept { return contact_rad_; }
-  /// At a position from contact.
-  CLAMPD_REALTIME double force_N(double position_rad) const noexcept;
-  CLAMPD_REALTIME double slope_N_rad(double position_rad) const noexcept;
-  /// The position from contact that has this force, sought from where the nominal brake has it and at most
-  /// kReach_rad away from there: also a brake that cannot reach the force at all gets a sane position.
-  CLAMPD_REALTIME double position_for(double force_N, double nominal_position_rad) const noexcept;
-
-  static constexpr double kReach_rad = 6.0;
+  CLAMPD_REALTIME StiffnessCurve curve() const noexcept {
+    return {cubic_ * cubic_nominal_, quadratic_ * quadratic_nominal_};
+  }
 
  private:
   double cubic_nominal_ = 0.0;
@@ -39,4 +35,4 @@ class StiffnessEstimate {
   double covariance_[4][4] = {};  ///< of (s2, s1, contact, delay)
 };
 
-}  // namespace clampd::rt
+}  // namespace clampd

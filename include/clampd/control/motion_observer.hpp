@@ -1,9 +1,16 @@
 #pragma once
 
 #include "clampd/base/realtime.hpp"
-#include "rt/nominal_drive.hpp"
+#include "clampd/control/nominal_drive.hpp"
 
-namespace clampd::rt {
+namespace clampd {
+
+/// How the motor moves, and what the friction of this brake differs by.
+struct MotionState {
+  double position_rad = 0.0;
+  double velocity_rad_s = 0.0;
+  double friction_excess_Nm = 0.0;  ///< what friction, as a magnitude, is beyond that of the nominal brake
+};
 
 /// Where the motor will be when the next command begins to act.
 ///
@@ -13,8 +20,8 @@ namespace clampd::rt {
 /// that it knows rest from creeping; at rest it learns nothing about friction and cannot wind up.
 class MotionObserver {
  public:
-  /// Starts over at a reading, at rest.
-  CLAMPD_REALTIME void reset(double position_rad) noexcept;
+  /// Starts over from what is known: a reading of the encoder, at rest unless said.
+  CLAMPD_REALTIME void reset(const MotionState& known) noexcept;
   /// A reading of the sample that was predicted last.
   CLAMPD_REALTIME void correct(double position_rad, double velocity_rad_s) noexcept;
   /// From the sample just corrected to the one `periods` later: `torque_Nm` and `force_N` act meanwhile.
@@ -23,7 +30,7 @@ class MotionObserver {
 
   CLAMPD_REALTIME double position_rad() const noexcept { return state_[0]; }
   CLAMPD_REALTIME double velocity_rad_s() const noexcept { return state_[1]; }
-  CLAMPD_REALTIME double friction_excess_Nm() const noexcept { return state_[2]; }
+  CLAMPD_REALTIME MotionState state() const noexcept { return {state_[0], state_[1], state_[2]}; }
 
  private:
   CLAMPD_REALTIME void update(int component, double reading, double variance) noexcept;
@@ -32,4 +39,4 @@ class MotionObserver {
   double covariance_[3][3] = {};
 };
 
-}  // namespace clampd::rt
+}  // namespace clampd

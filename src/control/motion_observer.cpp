@@ -1,11 +1,11 @@
-#include "rt/motion_observer.hpp"
+#include "clampd/control/motion_observer.hpp"
 
 #include <algorithm>
 #include <cmath>
 
 #include "clampd/base/clock.hpp"
 
-namespace clampd::rt {
+namespace clampd {
 namespace {
 
 // Variances of what the filter believes. The position's covers an encoder of 1 mrad and its time jitter.
@@ -19,10 +19,10 @@ constexpr int kSubsteps = 4;
 
 }  // namespace
 
-void MotionObserver::reset(double position_rad) noexcept {
-  state_[0] = position_rad;
-  state_[1] = 0.0;
-  state_[2] = 0.0;
+void MotionObserver::reset(const MotionState& known) noexcept {
+  state_[0] = known.position_rad;
+  state_[1] = known.velocity_rad_s;
+  state_[2] = known.friction_excess_Nm;
   for (auto& row : covariance_)
     for (double& entry : row) entry = 0.0;
   covariance_[0][0] = kPositionVariance_rad2;
@@ -91,4 +91,4 @@ void MotionObserver::predict(const NominalDrive& drive, double torque_Nm, double
   }
 }
 
-}  // namespace clampd::rt
+}  // namespace clampd

@@ -1,9 +1,9 @@
-#include "rt/stiffness_estimate.hpp"
+#include "clampd/control/stiffness_estimate.hpp"
 
 #include <algorithm>
 #include <cmath>
 
-namespace clampd::rt {
+namespace clampd {
 namespace {
 
 constexpr double kForceVariance_N2 = 75.0 * 75.0;
@@ -39,10 +39,12 @@ void StiffnessEstimate::start(const NominalDrive& drive, double position_rad, do
 void StiffnessEstimate::learn(double position_rad, double force_N, double velocity_rad_s) noexcept {
   const double u = position_rad - contact_rad_ - delay_s_ * velocity_rad_s;
   if (u < 0.5) return;  // hardly any force, hardly any information
-  const double slope[4] = {quadratic_nominal_ * u * u, cubic_nominal_ * u * u * u, -slope_N_rad(u),
-                           -slope_N_rad(u) * velocity_rad_s};
+  const StiffnessCurve known = curve();
+  const double slope_N_rad = known.slope_N_rad(u);
+  const double slope[4] = {quadratic_nominal_ * u * u, cubic_nominal_ * u * u * u, -slope_N_rad,
+                           -slope_N_rad * velocity_rad_s};
   double product[4];
-  const double expected_N = this->force_N(u);
+  const double expected_N = known.force_N(u);
   const double model_N = kModelError * expected_N;
   double total = kForceVariance_N2 + model_N * model_N;
   for (int i = 0; i < 4; ++i) {
@@ -66,33 +68,4 @@ void StiffnessEstimate::learn(double position_rad, double force_N, double veloci
   covariance_[2][2] = std::min(covariance_[2][2] + kContactStepVariance_rad2, kContactStartVariance_rad2);
 }
 
-double StiffnessEstimate::force_N(double position_rad) const noexcept {
-  if (position_rad <= 0.0) return 0.0;
-  return (cubic_ * cubic_nominal_ * position_rad + quadratic_ * quadratic_nominal_) * position_rad *
-         position_rad;
-}
-
-double StiffnessEstimate::slope_N_rad(double position_rad) const noexcept {
-  if (position_rad <= 0.0) return 0.0;
-  return (3.0 * cubic_ * cubic_nominal_ * position_rad + 2.0 * quadratic_ * quadratic_nominal_) *
-         position_rad;
-}
-
-double StiffnessEstimate::position_for(double force_N, double nominal_position_rad) const noexcept {
-  if (nominal_position_rad <= 0.0 || force_N <= 0.0) return nominal_position_rad;
-  double highest = nominal_position_rad + kReach_rad;
-  // The slope of a cubic with k1 < 0 peaks at the inflection and is zero at twice that: stay where it is
-  // still steep.
-  const double cubic = cubic_ * cubic_nominal_;
-  if (cubic < 0.0) highest = std::min(highest, 1.6 * quadratic_ * quadratic_nominal_ / (-3.0 * cubic));
-  const double lowest = std::max(0.5 * nominal_position_rad, nominal_position_rad - kReach_rad);
-  highest = std::max(highest, lowest);
-  double u = std::clamp(nominal_position_rad / std::sqrt(quadratic_), lowest, highest);
-  for (int iteration = 0; iteration < 6; ++iteration) {
-    const double slope = std::max(slope_N_rad(u), 1.0);
-    u = std::clamp(u + (force_N - this->force_N(u)) / slope, lowest, highest);
-  }
-  return u;
-}
-
-}  // namespace clampd::rt
+}  // namespace clampd

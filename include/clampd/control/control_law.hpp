@@ -1,0 +1,53 @@
+#pragma once
+
+#include "clampd/base/realtime.hpp"
+#include "clampd/control/motion_observer.hpp"
+#include "clampd/control/nominal_drive.hpp"
+#include "clampd/control/stiffness_curve.hpp"
+#include "clampd/control/stiffness_estimate.hpp"
+#include "clampd/record/reference.hpp"
+
+namespace clampd {
+
+/// Hard limits that the control law keeps by itself, below those at which the supervisor stops everything.
+struct ControlLimits {
+  double torque_Nm = 3.0;
+  double force_N = 29e3;
+  double velocity_rad_s = 285.0;
+};
+
+/// THE tracking law (ARCHITECTURE.md, "Clamp-force tracking"): torque for the row `row` of a reference, not
+/// limited. Feed-forward re-shaped for the brake's own stiffness, plus the row's state feedback. `next` is
+/// the row after it (or the same at the end); `motion`, its position from contact, is the state at that very
+/// row. The design calls it with what is true of a simulated brake.
+CLAMPD_REALTIME double tracking_torque_Nm(const ReferenceRow& row, const ReferenceRow& next,
+                                          const NominalDrive& drive, const MotionState& motion,
+                                          const StiffnessCurve& stiffness) noexcept;
+
+/// The same as the loop calls it: with what it predicts for the row, and what it has learned so far.
+CLAMPD_REALTIME double tracking_torque_Nm(const ReferenceRow& row, const ReferenceRow& next,
+                                          const NominalDrive& drive, const MotionObserver& predicted,
+                                          const StiffnessEstimate& learned) noexcept;
+
+/// Near time-optimal move to `target_rad` (encoder): full speed, braking along the square root that ends at
+/// the target. `force_N` is the present clamp force.
+CLAMPD_REALTIME double move_torque_Nm(double target_rad, double speed_limit_rad_s, const NominalDrive& drive,
+                                      const MotionState& predicted, double force_N) noexcept;
+
+/// Holds a velocity.
+CLAMPD_REALTIME double velocity_torque_Nm(double velocity_rad_s, double acceleration_rad_s2,
+                                          const NominalDrive& drive, const MotionState& predicted,
+                                          double force_N) noexcept;
+
+/// The force in N that a stop would end at, if the next command brakes with all of `torque_limit_Nm`: along
+/// the tangent of the stiffness, with no help by load and friction. The present force unless it closes.
+CLAMPD_REALTIME double stop_force_N(double velocity_rad_s, double force_N, double slope_N_rad,
+                                    double torque_limit_Nm, const NominalDrive& drive) noexcept;
+
+/// Limits last: no torque beyond the drive's, none that drives the brake beyond its speed, or into a force
+/// from where it could no longer stop in time. Always finite; zero if the input is not.
+CLAMPD_REALTIME double limited_torque_Nm(double torque_Nm, const ControlLimits& limits,
+                                         const NominalDrive& drive, double velocity_rad_s, double force_N,
+                                         double slope_N_rad) noexcept;
+
+}  // namespace clampd

@@ -1,0 +1,94 @@
+#include "clampd/control/control_law.hpp"
+
+#include <cmath>
+#include <limits>
+
+#include <gtest/gtest.h>
+
+namespace clampd {
+namespace {
+
+/// A row that the nominal brake passes while it closes, with feedback.
+ReferenceRow closing_row() {
+  const StiffnessCurve nominal = NominalDrive{}.stiffness();
+  return {.force_N = nominal.force_N(20.0),
+          .position_rad = 20.0,
+          .velocity_rad_s = 100.0,
+          .torque_Nm = 0.9,
+          .stiffness_N_rad = nominal.slope_N_rad(20.0),
+          .gain_position = 0.5,
+          .gain_velocity = 0.03};
+}
+
+TEST(ControlLaw, TheNominalBrakeOnItsReferenceGetsTheFeedForward) {
+  const NominalDrive drive;
+  const ReferenceRow row = closing_row();
+  ReferenceRow next = row;
+  next.velocity_rad_s += 2.0;
+  const MotionState on_it{.position_rad = row.position_rad, .velocity_rad_s = row.velocity_rad_s};
+  EXPECT_NEAR(tracking_torque_Nm(row, next, drive, on_it, drive.stiffness()), row.torque_Nm, 1e-12);
+}
+
+TEST(ControlLaw, FeedbackAndFrictionExcessAddUp) {
+  const NominalDrive drive;
+  const ReferenceRow row = closing_row();
+  MotionState motion{.position_rad = row.position_rad - 0.1, .velocity_rad_s = row.velocity_rad_s - 4.0};
+  EXPECT_NEAR(tracking_torque_Nm(row, row, drive, motion, drive.stiffness()), 0.9 + 0.05 + 0.12, 1e-12);
+  motion.friction_excess_Nm = 0.2;
+  EXPECT_NEAR(tracking_torque_Nm(row, row, drive, motion, drive.stiffness()), 0.9 + 0.05 + 0.12 + 0.2, 1e-12);
+  // Friction acts against the motion; at rest a feed-forward would chatter.
+  motion = {.position_rad = row.position_rad, .velocity_rad_s = -100.0, .friction_excess_Nm = 0.2};
+  ReferenceRow opening = row;
+  opening.velocity_rad_s = -100.0;
+  EXPECT_NEAR(tracking_torque_Nm(opening, opening, drive, motion, drive.stiffness()), 0.9 - 0.2, 1e-12);
+  opening.velocity_rad_s = motion.velocity_rad_s = 0.0;
+  EXPECT_NEAR(tracking_torque_Nm(opening, opening, drive, motion, drive.stiffness()), 0.9, 1e-12);
+}
+
+TEST(ControlLaw, StifferPadsHaveTheForceEarlierAndAreMovedSlower) {
+  const NominalDrive drive;
+  StiffnessCurve stiffer = drive.stiffness();
+  stiffer.cubic_N_rad3 *= 1.2;
+  stiffer.quadratic_N_rad2 *= 1.2;
+  const ReferenceRow row = closing_row();
+  const double position_rad = stiffer.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2);
+  ASSERT_LT(position_rad, row.position_rad);
+  // dF/dt of the reference at the stiffer pads' slope.
+  const double velocity_rad_s = row.stiffness_N_rad * row.velocity_rad_s / stiffer.slope_N_rad(position_rad);
+  ASSERT_LT(velocity_rad_s, row.velocity_rad_s);
+  const MotionState on_it{.position_rad = position_rad, .velocity_rad_s = velocity_rad_s};
+  const double viscous_Nm = drive.viscous_Nm_s_rad * (velocity_rad_s - row.velocity_rad_s);
+  EXPECT_NEAR(tracking_torque_Nm(row, row, drive, on_it, stiffer), row.torque_Nm + viscous_Nm, 1e-12);
+}
+
+TEST(ControlLaw, AStopEndsWhereTheTangentAndTheTorqueSay) {
+  const NominalDrive drive;
+  // 290 rad/s for the millisecond until the command acts, then 3 N m on 2.91e-4 kg m^2.
+  const double travel_rad = 290.0 * 1e-3 + 290.0 * 290.0 * 2.91e-4 / (2.0 * 3.0);
+  EXPECT_NEAR(stop_force_N(290.0, 25e3, 1100.0, 3.0, drive), 25e3 + 1100.0 * travel_rad, 1e-6);
+  EXPECT_EQ(stop_force_N(-290.0, 25e3, 1100.0, 3.0, drive), 25e3) << "it opens";
+}
+
+TEST(ControlLaw, LimitsComeLastAndAlwaysGiveAFiniteTorque) {
+  const NominalDrive drive;
+  const ControlLimits limits;
+  const double nan = std::numeric_limits<double>::quiet_NaN(),
+               infinity = std::numeric_limits<double>::infinity();
+  EXPECT_EQ(limited_torque_Nm(nan, limits, drive, 0.0, 0.0, 0.0), 0.0);
+  EXPECT_EQ(limited_torque_Nm(infinity, limits, drive, 0.0, 0.0, 0.0), 0.0);
+  EXPECT_EQ(limited_torque_Nm(7.0, limits, drive, 0.0, 0.0, 0.0), 3.0);
+  EXPECT_EQ(limited_torque_Nm(-7.0, limits, drive, 0.0, 0.0, 0.0), -3.0);
+  EXPECT_LE(limited_torque_Nm(1.0, limits, drive, 0.0, 29.5e3, 1000.0), 0.0)
+      << "no further at the force limit";
+
+  constexpr double kFast_rad_s = 290.0;
+  EXPECT_EQ(limited_torque_Nm(2.0, limits, drive, kFast_rad_s, 0.0, 0.0), 0.0)
+      << "no faster at the speed limit";
+  EXPECT_EQ(limited_torque_Nm(-2.0, limits, drive, kFast_rad_s, 0.0, 0.0), -2.0) << "but slower";
+  // From 290 rad/s at full braking torque it takes some 4.4 rad to stop; at 1100 N/rad that is beyond the
+  // limit.
+  EXPECT_EQ(limited_torque_Nm(0.0, limits, drive, kFast_rad_s, 25e3, 1100.0), -3.0);
+}
+
+}  // namespace
+}  // namespace clampd
