@@ -402,8 +402,7 @@ Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& op
   diagnosis.noise_after = selection.chosen.estimate.noise;
   diagnosis.parameters_before = base_parameters(base);
   // What no model explains makes no other form of one any likelier.
-  diagnosis.parameters_after =
-      base_parameters(is_unexplained ? selection.chosen : averaged(selection));
+  diagnosis.parameters_after = base_parameters(is_unexplained ? selection.chosen : averaged(selection));
   progress(0.96, "judging by runs held out");
   diagnosis.gain = held_out_gain(runs, heldout, base, selection.chosen, diagnosis.notices);
   if (options.views) diagnosis.views = views_of(runs, base, selection.chosen);

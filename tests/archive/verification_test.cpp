@@ -87,7 +87,8 @@ TEST_F(Records, ThatWereTakenOutOrPutInAreMissed) {
   EXPECT_THAT(damaged(), ElementsAre(day_id(13), day_id(14)))
       << "numbered anew, its entries tell all the same";
   change(
-      "CREATE TEMP TABLE forged AS SELECT * FROM checks LIMIT 1; UPDATE forged SET id = 'forged', verdict = 0; "
+      "CREATE TEMP TABLE forged AS SELECT * FROM checks LIMIT 1; UPDATE forged SET id = 'forged', verdict = "
+      "0; "
       "INSERT INTO checks SELECT * FROM forged");
   EXPECT_THAT(damaged(), ::testing::Contains("forged"));
   EXPECT_FALSE(store_.load("forged"));

@@ -267,7 +267,7 @@ bool names(FaultCause cause, Reading reading) {
   return false;
 }
 
-SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed) {
+SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged) {
   const Reference reference = shipped_reference();
   const rt::SupervisorSettings limits;
   constexpr std::uint16_t kRepeats = 3;
@@ -290,7 +290,7 @@ SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed) {
     count(campaign.all, spoiled, outcome, limits);
     if (campaign.all.unsafe + campaign.all.undetected + campaign.all.faults - campaign.all.named != before)
       campaign.remarks.push_back(describe(spoiled, outcome));
-    if (outcome.fault != FaultCause::None) continue;
+    if (outcome.fault != FaultCause::None || judged-- <= 0) continue;
     const int errors = each.errors, wrong = each.wrong;
     const std::string verdict = judge(each, plant);
     campaign.all.errors += each.errors - errors;

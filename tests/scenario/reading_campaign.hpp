@@ -66,8 +66,10 @@ struct SpoilCampaign {
   std::vector<std::string> remarks;  ///< each check that was unsafe, undetected or named wrongly
 };
 
-/// `checks` checks, reading and kind in turn, everything else random from `seed`.
-SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed);
+/// `checks` checks, reading and kind in turn, everything else random from `seed`. Of those that no fault
+/// ends, the first `judged` are followed to their verdict, which takes seconds each: their runs are
+/// diagnosed.
+SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged);
 
 struct HealthyCampaign {
   int checks = 0;

@@ -26,7 +26,7 @@ int main(int argc, char** argv) {
   }
   bool good = true;
   if (checks > 0) {
-    const auto campaign = clampd::scenario::run_spoil_campaign(checks, seed);
+    const auto campaign = clampd::scenario::run_spoil_campaign(checks, seed, checks);
     for (const std::string& remark : campaign.remarks) std::cout << remark << '\n';
     print(std::cout, campaign);
     good = campaign.all.unsafe == 0 && campaign.all.wrong == 0;

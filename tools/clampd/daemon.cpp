@@ -283,7 +283,10 @@ control::StationStatus Daemon::status() {
   control::StationStatus status;
   status.station = station_.configuration.name;
   status.version = std::string(kVersion);
-  status.state = std::string(to_string(board.state.load()));
+  // IDLE says that a check may be started, which is not so before serve().
+  const StationState state = board.state.load();
+  status.state =
+      std::string(to_string(state == StationState::Idle && !serving_ ? StationState::Init : state));
   const FaultCause fault = board.fault.load();
   status.fault = std::string(to_string(fault));
   if (fault != FaultCause::None) {
