@@ -219,6 +219,243 @@ class Progress {
   const DiagnoseOptions& options_;
 };
 
+/// What the search begins with.
+struct Prepared {
+  std::vector<Run> runs, heldout;  ///< with the drive on
+  Hypothesis base;                 ///< the model without effects
+  std::optional<TorqueWhileOff> torque_off;
+  bool is_off_refuted =
+      false;  ///< the runs show another offset of the torque reading than with the drive off
+};
+
+Result<Prepared> prepare(std::span<const Run> given, const DiagnoseOptions& options) {
+  if (const auto valid = check(given); !valid) return tl::unexpected(valid.error());
+  if (const auto valid = options.heldout.empty() ? Result<void>{} : check(options.heldout); !valid)
+    return tl::unexpected(valid.error());
+  Prepared prepared;
+  prepared.runs = driven_runs(given);
+  prepared.heldout = driven_runs(options.heldout);
+  if (prepared.runs.empty())
+    return failure("the drive was off in all runs (drive_enabled is 0): add runs in which the brake moves");
+
+  Hypothesis& base = prepared.base;
+  base.threads = SpareThreads(threads_or_all(options.threads));
+  prepared.torque_off = pooled(options.torque_while_off, torque_while_off(given));
+  base.estimate = fit_base(prepared.runs, options.nominal, base.threads);
+  if (!base.possible())
+    return failure(
+        "the base model cannot follow these runs at all: check columns and units, and that J and N are those "
+        "of this brake");
+  prepared.is_off_refuted = prepared.torque_off && contradicts(*prepared.torque_off, base, prepared.runs);
+  if (prepared.is_off_refuted) prepared.torque_off.reset();
+  base.runs = fit_runs(prepared.runs, prepared.torque_off);
+  if (prepared.torque_off)
+    base.estimate.log_likelihood = forecast(base.runs, base.estimate, base.threads).log_likelihood;
+  settle(base);
+  return prepared;
+}
+
+/// What the search ended with.
+struct Found {
+  Selection selection;
+  Residuals before, after;  ///< what the base model leaves, and what the chosen one does
+  double explained_nats = 0.0;
+  bool lost = false;  ///< what is wrong is none of the candidates
+
+  bool something_left() const {
+    return after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
+  }
+  bool much_left() const { return something_left() && after.nats > kUnexplainedShare * explained_nats; }
+};
+
+Result<Found> search(const Prepared& prepared, const DiagnoseOptions& options) {
+  const Hypothesis& base = prepared.base;
+  const auto given_up = [&] { return options.given_up && options.given_up(); };
+  SelectionOptions selecting;
+  selecting.most_effects = options.most_effects;
+  selecting.false_alarm = options.false_alarm;
+  selecting.progress = options.progress;
+  selecting.given_up = options.given_up;
+
+  Found found{Selection{base, base, {}, {}}, examine(base), {}};
+  found.after = found.before;
+  Selection& selection = found.selection;
+  const auto look_at_the_rest = [&] {
+    found.after = examine(selection.chosen);
+    found.explained_nats = selection.chosen.log_likelihood() - base.log_likelihood();
+  };
+  while (!found.lost && !given_up() && add_effect(prepared.runs, selecting, selection)) {
+    look_at_the_rest();
+    const bool several = selection.effects.size() >= kSeveral;
+    found.lost = found.after.nats > (several ? kLost : kLostAtOnce) * found.explained_nats ||
+                 (several && is_torque_impossible(selection.chosen));
+  }
+  found.lost = found.lost || (selection.effects.size() >= kSeveral && found.much_left());
+  if (!found.lost && !given_up() && reconsider(prepared.runs, selecting, selection)) look_at_the_rest();
+  if (given_up()) return failure("the search was given up");
+  // Where the base model got stuck, an effect may have explained no more than the way out.
+  if (!selection.effects.empty() && is_stuck(base)) {
+    const Hypothesis bare = without_any(selection.chosen, prepared.runs);
+    if (bare.possible())
+      found.explained_nats =
+          std::min(found.explained_nats, selection.chosen.log_likelihood() - bare.log_likelihood());
+  }
+  return found;
+}
+
+/// Lists what the search named, but for offsets that the tare may have left, which become notices. True if
+/// rivals are left, which the runs do not tell apart. `own_covariance`: of the chosen model by its
+/// likelihood.
+bool name_effects(const Selection& selection, const Eigen::MatrixXd& own_covariance,
+                  const DiagnoseOptions& options, Diagnosis& diagnosis) {
+  for (std::size_t e = 0; e < selection.effects.size(); ++e) {
+    const Selected& selected = selection.effects[e];
+    if (is_left_by_tare(selection, e, own_covariance, options)) {
+      const EstimatedParameter offset = effect_parameters(selection.chosen.estimate, e).front();
+      diagnosis.notices.push_back(
+          fmt::format("{} of {:.2g} +- {:.1g} {} is no more than the tare may leave, and taken into account",
+                      selected.name, offset.value, offset.sd, offset.unit));
+      continue;
+    }
+    NamedEffect named;
+    named.name = selected.name;
+    named.location = info_of(*find_effect(selected.name)).location;
+    named.parameters = effect_parameters(selection.chosen.estimate, e);
+    named.log_likelihood_gain = selected.gain;
+    named.p_value = p_value_of(selected.evidence, static_cast<double>(effects().size()));
+    diagnosis.effects.push_back(std::move(named));
+    if (selected.rivals.empty()) continue;
+    std::vector<std::string> group{selected.name};
+    std::vector<Diagnosis::Rival> models{
+        {selected.name, selection.chosen.estimate.parameters, own_covariance}};
+    for (const Candidate& rival : selected.rivals) {
+      if (group.size() == kMostRivals) break;
+      group.emplace_back(rival.name());
+      models.push_back(
+          {std::string(rival.name()), rival.fitted.estimate.parameters, rival.fitted.estimate.covariance});
+    }
+    diagnosis.rivals.push_back(std::move(group));
+    diagnosis.rival_models.push_back(std::move(models));
+  }
+  return !diagnosis.rivals.empty();
+}
+
+/// All candidates of all stages, after the effects were named; and what the runs could not have shown.
+void list_candidates(const Selection& selection, Diagnosis& diagnosis) {
+  for (std::size_t stage = 0; stage < selection.stages.size(); ++stage)
+    for (const Candidate& candidate : selection.stages[stage]) {
+      Rung rung = rung_of(candidate, static_cast<int>(stage) + 1);
+      rung.chosen = stage < selection.effects.size() &&
+                    std::any_of(diagnosis.effects.begin(), diagnosis.effects.end(),
+                                [&](const NamedEffect& named) { return named.name == rung.name; }) &&
+                    &candidate == &selection.stages[stage].front();
+      rung.rival = std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(), [&](const auto& group) {
+        return stage == 0 && std::find(group.begin(), group.end(), rung.name) != group.end();
+      });
+      diagnosis.ladder.push_back(std::move(rung));
+    }
+  if (!selection.stages.empty())
+    for (const Candidate& candidate : selection.stages.front())
+      if (candidate.blindness > kBlind && !candidate.is_fitted)
+        diagnosis.unseen.push_back(
+            {std::string(candidate.name()), unseen_words(*candidate.effect, candidate.blindness)});
+}
+
+/// Where the misfit is and what it depends on. `is_misplaced`: in no place that the named effects say.
+void describe_misfit(const Found& found, bool is_misplaced, Diagnosis& diagnosis) {
+  Misfit& misfit = diagnosis.misfit;
+  const bool is_unexplained = diagnosis.verdict == DiagnosisVerdict::Unexplained;
+  misfit.tests_before = found.before.tests;
+  if (!found.selection.effects.empty()) misfit.tests_after = found.after.tests;
+  misfit.explained_nats = found.explained_nats;
+  if (found.something_left()) misfit.left_nats = found.after.nats;
+  // Of what is left; if that tells nothing by itself, of what the base model leaves.
+  const auto tells = [](const Residuals& residuals) {
+    return !residuals.dependences.empty() && residuals.dependences.front().p_value < kFalseResidual;
+  };
+  const Residuals& told = is_unexplained && tells(found.after) ? found.after : found.before;
+  // What is wrong in one place shows faintly in all others: the strongest say where.
+  double strongest = 0.0;
+  for (const Dependence& dependence : told.dependences) strongest = std::max(strongest, dependence.gain);
+  for (const Dependence& dependence : told.dependences)
+    if (dependence.p_value < kFalseResidual && dependence.gain > kFaint * strongest &&
+        misfit.dependences.size() < kMostDependences)
+      misfit.dependences.push_back(dependence);
+  if (diagnosis.verdict == DiagnosisVerdict::Adequate) return;
+  if (!is_misplaced && !diagnosis.effects.empty())
+    misfit.location = diagnosis.effects.front().location;
+  else if (tells(told))
+    misfit.location = told.dependences.front().location;
+  else
+    misfit.location = (is_unexplained ? found.after : found.before).hint;
+}
+
+/// What else a reader has to know of the runs and of the answer.
+void add_notices(const Prepared& prepared, const Found& found, Diagnosis& diagnosis) {
+  if (found.something_left() && diagnosis.verdict != DiagnosisVerdict::Unexplained &&
+      !found.selection.effects.empty())
+    diagnosis.notices.push_back(
+        fmt::format("a little is left that these effects do not explain ({:.0f} of {:.0f} nats): they may "
+                    "have another form than assumed",
+                    found.after.nats, found.explained_nats));
+  if (prepared.is_off_refuted)
+    diagnosis.notices.push_back(
+        "the torque reading with the drive off is left out: the runs show no such offset; does the drive set "
+        "its zero when it is switched on?");
+  if (const auto& off = prepared.torque_off)
+    diagnosis.notices.push_back(fmt::format(
+        "with the drive off, when no torque acts, its reading was {:.2f} +- {:.2f} mN m ({} rows)",
+        1e3 * off->mean_Nm, 1e3 * off->sd_Nm, off->rows));
+  if (prepared.runs.size() == 1)
+    diagnosis.notices.push_back(
+        "one run only: nothing that changes from run to run can be seen, and nothing could be held out");
+}
+
+/// What the search found, as it is reported: the verdict, names, misfit, models and parameters.
+Diagnosis conclude(const Prepared& prepared, Found& found, const DiagnoseOptions& options,
+                   const Progress& progress) {
+  Selection& selection = found.selection;
+  // The reported covariance is that over runs; rivals are compared by the models' own.
+  const Eigen::MatrixXd own_covariance = selection.chosen.estimate.covariance;
+  selection.chosen.estimate.covariance =
+      covariance_over_runs(selection.chosen.runs, selection.chosen.estimate, selection.chosen.threads);
+  const ResidualLevel level = residual_level(prepared.runs, selection.chosen.estimate.noise);
+  const bool is_misplaced = found.lost || found.much_left() || level.far_above_noise;
+  const bool is_unexplained = is_misplaced || (!selection.effects.empty() &&
+                                               is_implausible(selection.chosen.estimate.parameters.base.theta,
+                                                              options.nominal.theta));
+
+  Diagnosis diagnosis;
+  diagnosis.alarm_evidence = alarm_level(options.false_alarm);
+  if (level.far_above_noise)
+    diagnosis.notices.push_back(
+        fmt::format("no model explains these runs, the best one takes for noise what is none ({}): its "
+                    "numbers are no result",
+                    level.words));
+  const bool is_ambiguous = name_effects(selection, own_covariance, options, diagnosis);
+  diagnosis.verdict = is_unexplained              ? DiagnosisVerdict::Unexplained
+                      : diagnosis.effects.empty() ? DiagnosisVerdict::Adequate
+                      : is_ambiguous              ? DiagnosisVerdict::Ambiguous
+                                                  : DiagnosisVerdict::Explained;
+  list_candidates(selection, diagnosis);
+  describe_misfit(found, is_misplaced, diagnosis);
+
+  diagnosis.model = selection.chosen.estimate.parameters;
+  diagnosis.torque_while_off = prepared.torque_off;
+  diagnosis.noise_before = prepared.base.estimate.noise;
+  diagnosis.noise_after = selection.chosen.estimate.noise;
+  diagnosis.parameters_before = base_parameters(prepared.base);
+  // What no model explains makes no other form of one any likelier.
+  diagnosis.parameters_after = base_parameters(is_unexplained ? selection.chosen : averaged(selection));
+  progress(0.96, "judging by runs held out");
+  diagnosis.gain =
+      held_out_gain(prepared.runs, prepared.heldout, prepared.base, selection.chosen, diagnosis.notices);
+  if (options.views) diagnosis.views = views_of(prepared.runs, prepared.base, selection.chosen);
+  add_notices(prepared, found, diagnosis);
+  diagnosis.summary = summary_words(diagnosis);
+  return diagnosis;
+}
+
 }  // namespace
 
 std::string_view to_string(DiagnosisVerdict verdict) noexcept {
@@ -237,192 +474,14 @@ std::string_view to_string(DiagnosisVerdict verdict) noexcept {
 
 Result<Diagnosis> diagnose(std::span<const Run> given, const DiagnoseOptions& options) {
   const auto began = std::chrono::steady_clock::now();
-  if (const auto valid = check(given); !valid) return tl::unexpected(valid.error());
-  if (const auto valid = options.heldout.empty() ? Result<void>{} : check(options.heldout); !valid)
-    return tl::unexpected(valid.error());
-  const std::vector<Run> runs = driven_runs(given), heldout = driven_runs(options.heldout);
-  if (runs.empty())
-    return failure("the drive was off in all runs (drive_enabled is 0): add runs in which the brake moves");
   const Progress progress(options);
-  const auto given_up = [&] { return options.given_up && options.given_up(); };
   progress(0.0, "fitting the base model");
-
-  Hypothesis base;
-  base.threads = SpareThreads(threads_or_all(options.threads));
-  std::optional<TorqueWhileOff> torque_off = pooled(options.torque_while_off, torque_while_off(given));
-  base.estimate = fit_base(runs, options.nominal, base.threads);
-  if (!base.possible())
-    return failure(
-        "the base model cannot follow these runs at all: check columns and units, and that J and N are those "
-        "of "
-        "this brake");
-  const bool is_off_refuted = torque_off && contradicts(*torque_off, base, runs);
-  if (is_off_refuted) torque_off.reset();
-  base.runs = fit_runs(runs, torque_off);
-  if (torque_off)
-    base.estimate.log_likelihood = forecast(base.runs, base.estimate, base.threads).log_likelihood;
-  settle(base);
+  const Result<Prepared> prepared = prepare(given, options);
+  if (!prepared) return tl::unexpected(prepared.error());
   progress(0.12, "looking at what is left");
-  const Residuals before = examine(base);
-
-  SelectionOptions selecting;
-  selecting.most_effects = options.most_effects;
-  selecting.false_alarm = options.false_alarm;
-  selecting.progress = options.progress;
-  selecting.given_up = options.given_up;
-  Selection selection{base, base, {}, {}};
-  Residuals after = before;
-  double explained = 0.0;
-  const auto look_at_the_rest = [&] {
-    after = examine(selection.chosen);
-    explained = selection.chosen.log_likelihood() - base.log_likelihood();
-  };
-  const auto something_left = [&] {
-    return after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
-  };
-  const auto much_left = [&] { return something_left() && after.nats > kUnexplainedShare * explained; };
-  bool lost = false;
-  while (!lost && !given_up() && add_effect(runs, selecting, selection)) {
-    look_at_the_rest();
-    const bool several = selection.effects.size() >= kSeveral;
-    lost = after.nats > (several ? kLost : kLostAtOnce) * explained ||
-           (several && is_torque_impossible(selection.chosen));
-  }
-  lost = lost || (selection.effects.size() >= kSeveral && much_left());
-  if (!lost && !given_up() && reconsider(runs, selecting, selection)) look_at_the_rest();
-  if (given_up()) return failure("the search was given up");
-  // Where the base model got stuck, an effect may have explained no more than the way out.
-  if (!selection.effects.empty() && is_stuck(base)) {
-    const Hypothesis bare = without_any(selection.chosen, runs);
-    if (bare.possible())
-      explained = std::min(explained, selection.chosen.log_likelihood() - bare.log_likelihood());
-  }
-  // What is reported; rivals are compared by the models' own.
-  const Eigen::MatrixXd own_covariance = selection.chosen.estimate.covariance;
-  selection.chosen.estimate.covariance =
-      covariance_over_runs(selection.chosen.runs, selection.chosen.estimate, selection.chosen.threads);
-  const bool is_something_left = something_left();
-  const ResidualLevel level = residual_level(runs, selection.chosen.estimate.noise);
-  const bool is_misplaced = lost || much_left() || level.far_above_noise;
-  const bool is_unexplained = is_misplaced || (!selection.effects.empty() &&
-                                               is_implausible(selection.chosen.estimate.parameters.base.theta,
-                                                              options.nominal.theta));
-
-  Diagnosis diagnosis;
-  diagnosis.alarm_evidence = alarm_level(options.false_alarm);
-  if (level.far_above_noise)
-    diagnosis.notices.push_back(
-        fmt::format("no model explains these runs, the best one takes for noise what is none ({}): its "
-                    "numbers are no result",
-                    level.words));
-  bool ambiguous = false;
-  for (std::size_t e = 0; e < selection.effects.size(); ++e) {
-    const Selected& selected = selection.effects[e];
-    if (is_left_by_tare(selection, e, own_covariance, options)) {
-      const EstimatedParameter offset = effect_parameters(selection.chosen.estimate, e).front();
-      diagnosis.notices.push_back(
-          fmt::format("{} of {:.2g} +- {:.1g} {} is no more than the tare may leave, and taken into account",
-                      selected.name, offset.value, offset.sd, offset.unit));
-      continue;
-    }
-    NamedEffect named;
-    named.name = selected.name;
-    named.location = info_of(*find_effect(selected.name)).location;
-    named.parameters = effect_parameters(selection.chosen.estimate, e);
-    named.log_likelihood_gain = selected.gain;
-    named.p_value = p_value_of(selected.evidence, static_cast<double>(effects().size()));
-    diagnosis.effects.push_back(std::move(named));
-    if (selected.rivals.empty()) continue;
-    ambiguous = true;
-    std::vector<std::string> group{selected.name};
-    std::vector<Diagnosis::Rival> models{
-        {selected.name, selection.chosen.estimate.parameters, own_covariance}};
-    for (const Candidate& rival : selected.rivals) {
-      if (group.size() == kMostRivals) break;
-      group.emplace_back(rival.name());
-      models.push_back(
-          {std::string(rival.name()), rival.fitted.estimate.parameters, rival.fitted.estimate.covariance});
-    }
-    diagnosis.rivals.push_back(std::move(group));
-    diagnosis.rival_models.push_back(std::move(models));
-  }
-  diagnosis.verdict = is_unexplained              ? DiagnosisVerdict::Unexplained
-                      : diagnosis.effects.empty() ? DiagnosisVerdict::Adequate
-                      : ambiguous                 ? DiagnosisVerdict::Ambiguous
-                                                  : DiagnosisVerdict::Explained;
-
-  for (std::size_t stage = 0; stage < selection.stages.size(); ++stage)
-    for (const Candidate& candidate : selection.stages[stage]) {
-      Rung rung = rung_of(candidate, static_cast<int>(stage) + 1);
-      rung.chosen = stage < selection.effects.size() &&
-                    std::any_of(diagnosis.effects.begin(), diagnosis.effects.end(),
-                                [&](const NamedEffect& named) { return named.name == rung.name; }) &&
-                    &candidate == &selection.stages[stage].front();
-      rung.rival = std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(), [&](const auto& group) {
-        return stage == 0 && std::find(group.begin(), group.end(), rung.name) != group.end();
-      });
-      diagnosis.ladder.push_back(std::move(rung));
-    }
-
-  diagnosis.misfit.tests_before = before.tests;
-  if (!selection.effects.empty()) diagnosis.misfit.tests_after = after.tests;
-  diagnosis.misfit.explained_nats = explained;
-  if (is_something_left) diagnosis.misfit.left_nats = after.nats;
-  // Of what is left; if that tells nothing by itself, of what the base model leaves.
-  const auto tells = [](const Residuals& residuals) {
-    return !residuals.dependences.empty() && residuals.dependences.front().p_value < kFalseResidual;
-  };
-  const Residuals& told = is_unexplained && tells(after) ? after : before;
-  // What is wrong in one place shows faintly in all others: the strongest say where.
-  double strongest = 0.0;
-  for (const Dependence& dependence : told.dependences) strongest = std::max(strongest, dependence.gain);
-  for (const Dependence& dependence : told.dependences)
-    if (dependence.p_value < kFalseResidual && dependence.gain > kFaint * strongest &&
-        diagnosis.misfit.dependences.size() < kMostDependences)
-      diagnosis.misfit.dependences.push_back(dependence);
-  if (diagnosis.verdict != DiagnosisVerdict::Adequate) {
-    if (!is_misplaced && !diagnosis.effects.empty())
-      diagnosis.misfit.location = diagnosis.effects.front().location;
-    else if (tells(told))
-      diagnosis.misfit.location = told.dependences.front().location;
-    else
-      diagnosis.misfit.location = (is_unexplained ? after : before).hint;
-  }
-
-  // What these runs could not have shown beside the base model.
-  if (!selection.stages.empty())
-    for (const Candidate& candidate : selection.stages.front())
-      if (candidate.blindness > kBlind && !candidate.is_fitted)
-        diagnosis.unseen.push_back(
-            {std::string(candidate.name()), unseen_words(*candidate.effect, candidate.blindness)});
-
-  diagnosis.model = selection.chosen.estimate.parameters;
-  diagnosis.torque_while_off = torque_off;
-  diagnosis.noise_before = base.estimate.noise;
-  diagnosis.noise_after = selection.chosen.estimate.noise;
-  diagnosis.parameters_before = base_parameters(base);
-  // What no model explains makes no other form of one any likelier.
-  diagnosis.parameters_after = base_parameters(is_unexplained ? selection.chosen : averaged(selection));
-  progress(0.96, "judging by runs held out");
-  diagnosis.gain = held_out_gain(runs, heldout, base, selection.chosen, diagnosis.notices);
-  if (options.views) diagnosis.views = views_of(runs, base, selection.chosen);
-  if (is_something_left && !is_unexplained && !selection.effects.empty())
-    diagnosis.notices.push_back(
-        fmt::format("a little is left that these effects do not explain ({:.0f} of {:.0f} nats): they may "
-                    "have another form than assumed",
-                    after.nats, explained));
-  if (is_off_refuted)
-    diagnosis.notices.push_back(
-        "the torque reading with the drive off is left out: the runs show no such offset; does the drive set "
-        "its zero when it is switched on?");
-  if (torque_off)
-    diagnosis.notices.push_back(fmt::format(
-        "with the drive off, when no torque acts, its reading was {:.2f} +- {:.2f} mN m ({} rows)",
-        1e3 * torque_off->mean_Nm, 1e3 * torque_off->sd_Nm, torque_off->rows));
-  if (runs.size() == 1)
-    diagnosis.notices.push_back(
-        "one run only: nothing that changes from run to run can be seen, and nothing could be held out");
-  diagnosis.summary = summary_words(diagnosis);
+  Result<Found> found = search(*prepared, options);
+  if (!found) return tl::unexpected(found.error());
+  Diagnosis diagnosis = conclude(*prepared, *found, options, progress);
   diagnosis.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
   progress(1.0, "done");
   return diagnosis;

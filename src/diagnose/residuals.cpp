@@ -393,27 +393,21 @@ Answer gain_of(const SignalScores& scores, Eigen::Index first, Eigen::Index coun
   return answer;
 }
 
-}  // namespace
+/// What one test or dependence says.
+struct Finding {
+  double surprise;  ///< -ln p
+  double nats;      ///< what a model of it would gain
+};
 
-double surprise_of_colour(std::span<const FilteredRun> runs) {
-  const Correlation force = correlation(runs, true, true, 1, kLags);
-  const Correlation velocity = correlation(runs, false, false, 1, kLags);
-  return surprise_of_chi_square(force.statistic + velocity.statistic, force.degrees + velocity.degrees);
-}
-
-Residuals examine(const Hypothesis& hypothesis) {
+/// The tests of the residuals as they are carried out, and what each of them found.
+struct Examination {
   Residuals residuals;
-  const std::vector<FilteredRun> filtered =
-      filter_runs(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
-  if (filtered.empty()) return residuals;
-
-  struct Finding {
-    double surprise, nats;
-  };
   std::vector<Finding> findings;
   double failed_most = 0.0;
-  const auto add_test = [&](std::string name, Location location, const Correlation& found, const char* passed,
-                            const char* failed) {
+
+  /// A chi-square test of innovations; `passed` and `failed` are its words.
+  void add_test(std::string name, Location location, const Correlation& found, const char* passed,
+                const char* failed) {
     if (!(found.degrees > 0.0)) return;
     const double surprise = surprise_of_chi_square(found.statistic, found.degrees);
     const double p = p_value_of(surprise);
@@ -422,52 +416,73 @@ Residuals examine(const Hypothesis& hypothesis) {
     if (surprise <= failed_most) return;
     failed_most = surprise;
     residuals.hint = location;
-  };
-  add_test("whiteness of the force", Location::ForceReading, correlation(filtered, true, true, 1, kLags),
-           "what is left of the force is noise", "what is left of the force hangs together over time");
-  add_test("whiteness of the velocity", Location::TorqueBalance,
-           correlation(filtered, false, false, 1, kLags), "what is left of the velocity is noise",
-           "what is left of the velocity hangs together over time");
-  add_test("force against velocity", Location::Timing,
-           correlation(filtered, true, false, -kCrossLags, kCrossLags),
-           "the two readings' errors know nothing of each other",
-           "the two readings err together: one of them comes late, or the balance lacks something");
-  add_test("wander of the force", Location::ForceReading, wander(filtered, true),
-           "what is left of the force does not wander",
-           "what is left of the force is to one side for hundreds of rows, then to the other");
-  add_test(
-      "wander of the velocity", Location::TorqueBalance, wander(filtered, false),
-      "what is left of the velocity does not wander",
-      "what is left of the velocity is to one side for hundreds of rows, then to the other: a torque that "
-      "changes by itself");
-  add_test("spread of the force", Location::Timing, spread_against_rates(filtered, hypothesis.runs, true),
-           "the force is equally uncertain everywhere",
-           "the force is more uncertain where something changes fast");
-  add_test("spread of the velocity", Location::Timing, spread_against_rates(filtered, hypothesis.runs, false),
-           "the velocity is equally uncertain everywhere",
-           "the velocity is more uncertain where something changes fast");
-  struct Held {
-    Location location;
-    Correlation found;
-  };
-  const Held held[] = {{Location::ForceReading, held_readings(filtered, hypothesis.runs, true)},
-                       {Location::VelocityReading, held_readings(filtered, hypothesis.runs, false)}};
+  }
+};
+
+/// Whether the innovations are white, uncorrelated with each other, and equally large everywhere.
+void test_innovations(std::span<const FilteredRun> filtered, std::span<const FitRun> runs,
+                      Examination& examination) {
+  examination.add_test("whiteness of the force", Location::ForceReading,
+                       correlation(filtered, true, true, 1, kLags), "the force residual is white",
+                       "the force residual is autocorrelated");
+  examination.add_test("whiteness of the velocity", Location::TorqueBalance,
+                       correlation(filtered, false, false, 1, kLags), "the velocity residual is white",
+                       "the velocity residual is autocorrelated");
+  examination.add_test("force against velocity", Location::Timing,
+                       correlation(filtered, true, false, -kCrossLags, kCrossLags),
+                       "the residuals of force and velocity are uncorrelated",
+                       "the residuals of force and velocity are correlated: one of the readings comes late, "
+                       "or the balance lacks something");
+  examination.add_test("wander of the force", Location::ForceReading, wander(filtered, true),
+                       "the force residual does not wander",
+                       "the force residual is to one side for hundreds of rows, then to the other");
+  examination.add_test("wander of the velocity", Location::TorqueBalance, wander(filtered, false),
+                       "the velocity residual does not wander",
+                       "the velocity residual is to one side for hundreds of rows, then to the other: a "
+                       "torque that changes by itself");
+  examination.add_test("spread of the force", Location::Timing, spread_against_rates(filtered, runs, true),
+                       "the force is equally uncertain everywhere",
+                       "the force is more uncertain where something changes fast");
+  examination.add_test("spread of the velocity", Location::Timing,
+                       spread_against_rates(filtered, runs, false),
+                       "the velocity is equally uncertain everywhere",
+                       "the velocity is more uncertain where something changes fast");
+}
+
+/// A reading, and what was found where it repeats the row before.
+struct Held {
+  Location location;
+  Correlation found;
+};
+
+std::array<Held, 2> test_held_readings(std::span<const FilteredRun> filtered, std::span<const FitRun> runs,
+                                       Examination& examination) {
+  const std::array<Held, 2> held{Held{Location::ForceReading, held_readings(filtered, runs, true)},
+                                 Held{Location::VelocityReading, held_readings(filtered, runs, false)}};
   for (const Held& reading : held)
-    add_test(
+    examination.add_test(
         fmt::format("repeats of the {}", reading.location == Location::ForceReading ? "force" : "velocity"),
         reading.location, reading.found,
         "where it reads the very same as a row before, it is no further off than elsewhere",
         "where it reads the very same as a row before, it is off: its last value was held");
-  const LackOfFit repeats = lack_of_fit(filtered, hypothesis.runs);
-  if (repeats.degrees_within > 50.0 && repeats.within > 0.0) {
-    const double f = repeats.between / repeats.degrees_between / (repeats.within / repeats.degrees_within);
-    const double surprise = surprise_of_f(f, repeats.degrees_between, repeats.degrees_within);
-    residuals.tests.push_back({"lack of fit against repeats", f, p_value_of(surprise),
-                               surprise > 7.0 ? "repeats miss the model in the same places"
-                                              : "repeats miss the model no more alike than by chance"});
-    findings.push_back({surprise, std::max(0.0, 0.5 * (f - 1.0) * repeats.degrees_between)});
-  }
+  return held;
+}
 
+void test_repeats(std::span<const FilteredRun> filtered, std::span<const FitRun> runs,
+                  Examination& examination) {
+  const LackOfFit repeats = lack_of_fit(filtered, runs);
+  if (!(repeats.degrees_within > 50.0) || !(repeats.within > 0.0)) return;
+  const double f = repeats.between / repeats.degrees_between / (repeats.within / repeats.degrees_within);
+  const double surprise = surprise_of_f(f, repeats.degrees_between, repeats.degrees_within);
+  examination.residuals.tests.push_back({"lack of fit against repeats", f, p_value_of(surprise),
+                                         surprise > 7.0
+                                             ? "repeats miss the model in the same places"
+                                             : "repeats miss the model no more alike than by chance"});
+  examination.findings.push_back({surprise, std::max(0.0, 0.5 * (f - 1.0) * repeats.degrees_between)});
+}
+
+/// Whether a reading's steps are coarser than its noise.
+void test_resolution(const Hypothesis& hypothesis, Examination& examination) {
   for (const bool force : {true, false}) {
     const double step = step_of(hypothesis.runs, force);
     const double noise =
@@ -475,20 +490,27 @@ Residuals examine(const Hypothesis& hypothesis) {
     if (!(step > 0.0)) continue;
     const bool coarse = step > kCoarse * noise;
     const char* const name = force ? "force" : "velocity";
-    residuals.tests.push_back({fmt::format("resolution of the {}", name), step, coarse ? 0.0 : 1.0,
-                               fmt::format("the reading of {} has steps of {:.3g} {}, {} than its noise",
-                                           name, step, force ? "N" : "rad/s", coarse ? "coarser" : "finer")});
+    examination.residuals.tests.push_back(
+        {fmt::format("resolution of the {}", name), step, coarse ? 0.0 : 1.0,
+         fmt::format("the reading of {} has steps of {:.3g} {}, {} than its noise", name, step,
+                     force ? "N" : "rad/s", coarse ? "coarser" : "finer")});
     if (!coarse) continue;
     const double nats = readings_of(hypothesis.runs) * step * step / (24.0 * noise * noise);
-    findings.push_back({nats, nats});
-    residuals.dependences.push_back(
+    examination.findings.push_back({nats, nats});
+    examination.residuals.dependences.push_back(
         {name, force ? Location::ForceReading : Location::VelocityReading, nats, 0.0});
   }
+}
 
+constexpr std::array kKinds{SignalColumns::Kind::Torque, SignalColumns::Kind::Force,
+                            SignalColumns::Kind::ForceReading, SignalColumns::Kind::VelocityReading};
+
+/// Every variable of the motion in every place where something may be missing.
+std::vector<Question> questions_about(std::span<const FilteredRun> filtered, std::span<const FitRun> runs) {
   using Kind = SignalColumns::Kind;
-  const std::vector<Variable> variables = variables_of(filtered, hypothesis.runs);
+  const std::vector<Variable> variables = variables_of(filtered, runs);
   std::vector<Question> questions;
-  for (const Kind kind : {Kind::Torque, Kind::Force, Kind::ForceReading, Kind::VelocityReading}) {
+  for (const Kind kind : kKinds) {
     for (const Variable& variable : variables) {
       if (variable.shape == Variable::Shape::Runs &&
           (variable.values.size() < 2 || variable.values.size() > 60))
@@ -496,25 +518,28 @@ Residuals examine(const Hypothesis& hypothesis) {
       // A torque acts from its row until the next one: what it drives is read after it.
       const bool is_read_with_it = variable.name == "torque" && kind != Kind::Torque;
       questions.push_back({kind, variable.name, location_of(kind, variable.name),
-                           is_read_with_it ? previous_torque(hypothesis.runs) : columns_of(variable)});
+                           is_read_with_it ? previous_torque(runs) : columns_of(variable)});
     }
     if (kind != Kind::Force)
-      questions.push_back({kind, "rate", Location::Timing, rates_of(filtered, hypothesis.runs, kind)});
+      questions.push_back({kind, "rate", Location::Timing, rates_of(filtered, runs, kind)});
   }
+  return questions;
+}
+
+/// One pass a kind: the columns of all its questions side by side.
+std::vector<Answer> answers_to(std::span<const Question> questions, const Hypothesis& hypothesis) {
   std::vector<Answer> answers(questions.size());
-  // One pass a kind: the columns of all its questions side by side.
   const SignalScorer scorer(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
-  const Kind kinds[] = {Kind::Torque, Kind::Force, Kind::ForceReading, Kind::VelocityReading};
-  for_each_index(4, hypothesis.threads, [&](std::size_t i) {
-    SignalColumns signals{kinds[i], {}};
+  for_each_index(kKinds.size(), hypothesis.threads, [&](std::size_t i) {
+    SignalColumns signals{kKinds[i], {}};
     std::vector<std::size_t> members;
     Eigen::Index width = 0;
     for (std::size_t q = 0; q < questions.size(); ++q) {
-      if (questions[q].kind != kinds[i]) continue;
+      if (questions[q].kind != kKinds[i]) continue;
       members.push_back(q);
       width += questions[q].columns.front().cols();
     }
-    for (std::size_t r = 0; r < filtered.size(); ++r) {
+    for (std::size_t r = 0; r < hypothesis.runs.size(); ++r) {
       Eigen::MatrixXd rows(questions[members.front()].columns[r].rows(), width);
       Eigen::Index at = 0;
       for (const std::size_t q : members) {
@@ -531,7 +556,32 @@ Residuals examine(const Hypothesis& hypothesis) {
       at += count;
     }
   });
-  const auto tried = static_cast<double>(questions.size() + findings.size());
+  return answers;
+}
+
+}  // namespace
+
+double surprise_of_colour(std::span<const FilteredRun> runs) {
+  const Correlation force = correlation(runs, true, true, 1, kLags);
+  const Correlation velocity = correlation(runs, false, false, 1, kLags);
+  return surprise_of_chi_square(force.statistic + velocity.statistic, force.degrees + velocity.degrees);
+}
+
+Residuals examine(const Hypothesis& hypothesis) {
+  const std::vector<FilteredRun> filtered =
+      filter_runs(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
+  if (filtered.empty()) return {};
+
+  Examination examination;
+  test_innovations(filtered, hypothesis.runs, examination);
+  const std::array<Held, 2> held = test_held_readings(filtered, hypothesis.runs, examination);
+  test_repeats(filtered, hypothesis.runs, examination);
+  test_resolution(hypothesis, examination);
+  const std::vector<Question> questions = questions_about(filtered, hypothesis.runs);
+  const std::vector<Answer> answers = answers_to(questions, hypothesis);
+
+  Residuals& residuals = examination.residuals;
+  const auto tried = static_cast<double>(questions.size() + examination.findings.size());
   const auto surprise_of = [&](std::size_t q) {
     return surprise_of_chi_square(2.0 * answers[q].gain, answers[q].degrees);
   };
@@ -549,11 +599,12 @@ Residuals examine(const Hypothesis& hypothesis) {
   std::sort(order.begin(), order.end(),
             [&](std::size_t a, std::size_t b) { return surprise_of(a) > surprise_of(b); });
   for (const std::size_t q : order) {
-    findings.push_back({surprise_of(q), std::max(0.0, answers[q].gain - 0.5 * answers[q].degrees)});
+    examination.findings.push_back(
+        {surprise_of(q), std::max(0.0, answers[q].gain - 0.5 * answers[q].degrees)});
     residuals.dependences.push_back(
         {questions[q].variable, questions[q].location, answers[q].gain, p_value_of(surprise_of(q), tried)});
   }
-  for (const Finding& finding : findings) {
+  for (const Finding& finding : examination.findings) {
     residuals.surprise = std::max(residuals.surprise, finding.surprise - std::log(tried));
     if (finding.surprise - std::log(tried) > 4.6) residuals.nats = std::max(residuals.nats, finding.nats);
   }

@@ -128,101 +128,26 @@ class Selector {
       : runs_(runs), options_(options), alarm_(alarm_level(options.false_alarm)) {}
 
   /// All candidates beside a hypothesis, the promising ones fitted, best first.
-  std::vector<Candidate> judge(const FitTask& question, double& share) {
-    const Hypothesis& hypothesis = question.hypothesis;
-    const TakenOut* taken_out = question.taken_out;
-    const std::size_t others = hypothesis.estimate.parameters.effects.size();
-    const std::size_t most_fits = others == 0 ? kMostFirstFits : kMostLaterFits;
-    std::vector<const Effect*> tried;
-    for (const Effect* effect : effects())
-      if ((!has(hypothesis, *effect) || info_of(*effect).repeatable) && can_be_added(hypothesis, *effect))
-        tried.push_back(effect);
-    std::vector<Candidate> candidates = look_at(tried, hypothesis, runs_);
-    for (Candidate& candidate : candidates)
-      if (has(hypothesis, *candidate.effect)) keep_harmonics(hypothesis, candidate);
-    report(share + 0.4 * (question.until - share), question.words);
-    const auto by_promise = [](const Candidate& a, const Candidate& b) {
-      return a.predicted_evidence > b.predicted_evidence;
-    };
-    std::sort(candidates.begin(), candidates.end(), by_promise);
-    const double best = candidates.empty() ? 0.0 : candidates.front().predicted_evidence;
-    std::vector<std::size_t> worth;
-    for (std::size_t i = 0; i < candidates.size() && worth.size() < most_fits; ++i)
-      if (!candidates[i].is_fitted &&
-          candidates[i].predicted_evidence > std::max(alarm_ - kBelowAlarm, kPromising * best) &&
-          candidates[i].predicted_gain >= kLeastPromised * question.material)
-        worth.push_back(i);
-    const bool stuck = !worth.empty() && is_stuck(hypothesis);
-    const auto is_itself = [&](const Candidate& candidate) {
-      return taken_out != nullptr && candidate.effect == taken_out->values.effect;
-    };
-    for (const std::size_t i : worth)
-      if (question.begun != nullptr &&
-          candidates[i].effect == question.begun->estimate.parameters.effects.back().effect)
-        candidates[i].fitted = *question.begun;
-    for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
-      Candidate& candidate = candidates[worth[i]];
-      if (given_up()) return;
-      if (is_itself(candidate))
-        fit_from(taken_out->values, taken_out->others, hypothesis, candidate);
-      else
-        fit(candidate, hypothesis, stuck);
-    });
-    const auto most = [&] {
-      double reached = 0.0;
-      for (const Candidate& candidate : candidates)
-        if (candidate.is_fitted) reached = std::max(reached, candidate.gain);
-      return reached;
-    };
-    const double first = most();
-    for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
-      Candidate& candidate = candidates[worth[i]];
-      if (!given_up() && !is_itself(candidate) &&
-          (is_delay(candidate) || is_within_reach(candidate.gain, first, kWorthRefining)))
-        refine(candidate, hypothesis, stuck);
-    });
-    if (taken_out != nullptr) {
-      const double fair = kFair * most();
-      for_each_index(worth.size(), hypothesis.threads, [&](std::size_t i) {
-        Candidate& candidate = candidates[worth[i]];
-        if (!given_up() && !is_itself(candidate) && candidate.fitted.possible() && candidate.gain > fair)
-          fit_from(candidate.fitted.estimate.parameters.effects.back(), taken_out->others, hypothesis,
-                   candidate);
-      });
-    }
-    // It was fitted to the end before it was taken out; where others do as well it may have a better form.
-    bool settled = false;
-    for (Candidate& candidate : candidates) {
-      if (!is_itself(candidate) || !candidate.is_fitted) continue;
-      settled = std::none_of(candidates.begin(), candidates.end(), [&](const Candidate& other) {
-        return !is_itself(other) && other.is_fitted && other.gain > candidate.gain - kClearly;
-      });
-      if (settled) continue;
-      fit(candidate, hypothesis, stuck);
-      refine(candidate, hypothesis, stuck);
-    }
-    const double reached = most();
-    std::vector<std::size_t> leading;
-    for (std::size_t i = 0; i < candidates.size(); ++i)
-      if (candidates[i].is_fitted && !(settled && is_itself(candidates[i])) &&
-          candidates[i].evidence > kNearAlarm * alarm(others) &&
-          is_within_reach(candidates[i].gain, reached, kLeading))
-        leading.push_back(i);
-    for_each_index(leading.size(), hypothesis.threads, [&](std::size_t i) {
-      if (!given_up()) finish(candidates[leading[i]], hypothesis);
-    });
-    follow_the_best(leading, hypothesis, candidates);
-    for (Candidate& candidate : candidates)
-      if (candidate.is_fitted && candidate.fitted.possible() && has(hypothesis, *candidate.effect) &&
-          !is_harmonic(candidate.fitted.estimate.parameters.effects.back(), hypothesis))
+  std::vector<Candidate> judge(const FitTask& task, double& share) {
+    Contest contest{task, screened(task), {}};
+    report(share + 0.4 * (task.until - share), task.words);
+    contest.worth = worth_a_fit(contest.candidates, task);
+    contest.is_stuck = !contest.worth.empty() && is_stuck(task.hypothesis);
+    fit_first(contest);
+    refine_leaders(contest);
+    const bool is_settled = fit_itself(contest);
+    finish_leaders(contest, is_settled);
+    for (Candidate& candidate : contest.candidates)
+      if (candidate.is_fitted && candidate.fitted.possible() && has(task.hypothesis, *candidate.effect) &&
+          !is_harmonic(candidate.fitted.estimate.parameters.effects.back(), task.hypothesis))
         candidate.fitted.estimate.possible = false;
-    share = question.until;
-    report(share, question.words);
-    best_first(candidates);
-    return candidates;
+    share = task.until;
+    report(share, task.words);
+    best_first(contest.candidates);
+    return std::move(contest.candidates);
   }
 
-  /// Of one effect beside so many others.
+  /// Alarm threshold where so many other effects are in the model already.
   double alarm(std::size_t others) const { return others == 0 ? alarm_ : alarm_ - std::log(kFurtherEffect); }
   bool is_alarm(const Candidate& candidate, std::size_t others) const {
     return candidate.is_fitted && candidate.fitted.possible() && candidate.evidence > alarm(others);
@@ -234,19 +159,143 @@ class Selector {
   }
   bool given_up() const { return options_.given_up && options_.given_up(); }
 
-  /// A candidate that can do all that another can must not end below it, and one that is nearly the same should not end far
-  /// below it: whoever ended lower is fitted once more from the brake and the noise of the one that ended highest.
+  /// The candidates of one task, from screening to the end.
+  struct Contest {
+    const FitTask& task;
+    std::vector<Candidate> candidates;
+    std::vector<std::size_t> worth;  ///< of them, those that get a fit
+    bool is_stuck = false;           ///< the hypothesis itself may be a fit that got stuck
+
+    /// Whether it is the effect that a fuller model had.
+    bool is_itself(const Candidate& candidate) const {
+      return task.taken_out != nullptr && candidate.effect == task.taken_out->values.effect;
+    }
+    double largest_gain() const {
+      double largest = 0.0;
+      for (const Candidate& candidate : candidates)
+        if (candidate.is_fitted) largest = std::max(largest, candidate.gain);
+      return largest;
+    }
+  };
+
+  /// Every effect that can be added, with what one step promises, the most promising first.
+  std::vector<Candidate> screened(const FitTask& task) const {
+    const Hypothesis& hypothesis = task.hypothesis;
+    std::vector<const Effect*> tried;
+    for (const Effect* effect : effects())
+      if ((!has(hypothesis, *effect) || info_of(*effect).repeatable) && can_be_added(hypothesis, *effect))
+        tried.push_back(effect);
+    std::vector<Candidate> candidates = look_at(tried, hypothesis, runs_);
+    for (Candidate& candidate : candidates)
+      if (has(hypothesis, *candidate.effect)) keep_harmonics(hypothesis, candidate);
+    std::sort(candidates.begin(), candidates.end(), [](const Candidate& a, const Candidate& b) {
+      return a.predicted_evidence > b.predicted_evidence;
+    });
+    return candidates;
+  }
+
+  std::vector<std::size_t> worth_a_fit(const std::vector<Candidate>& candidates, const FitTask& task) const {
+    const std::size_t most_fits =
+        task.hypothesis.estimate.parameters.effects.empty() ? kMostFirstFits : kMostLaterFits;
+    const double best = candidates.empty() ? 0.0 : candidates.front().predicted_evidence;
+    std::vector<std::size_t> worth;
+    for (std::size_t i = 0; i < candidates.size() && worth.size() < most_fits; ++i)
+      if (!candidates[i].is_fitted &&
+          candidates[i].predicted_evidence > std::max(alarm_ - kBelowAlarm, kPromising * best) &&
+          candidates[i].predicted_gain >= kLeastPromised * task.material)
+        worth.push_back(i);
+    return worth;
+  }
+
+  void fit_first(Contest& contest) const {
+    const FitTask& task = contest.task;
+    for (const std::size_t i : contest.worth)
+      if (task.begun != nullptr &&
+          contest.candidates[i].effect == task.begun->estimate.parameters.effects.back().effect)
+        contest.candidates[i].fitted = *task.begun;
+    for_each_index(contest.worth.size(), task.hypothesis.threads, [&](std::size_t i) {
+      Candidate& candidate = contest.candidates[contest.worth[i]];
+      if (given_up()) return;
+      if (contest.is_itself(candidate))
+        fit_from(task.taken_out->values, task.taken_out->others, task.hypothesis, candidate);
+      else
+        fit(candidate, task.hypothesis, contest.is_stuck);
+    });
+  }
+
+  /// Tries the other forms of those that are not far behind; and, where an effect was taken out of a fuller
+  /// model, fits them once more from the others as they were beside it.
+  void refine_leaders(Contest& contest) const {
+    const FitTask& task = contest.task;
+    const double first = contest.largest_gain();
+    for_each_index(contest.worth.size(), task.hypothesis.threads, [&](std::size_t i) {
+      Candidate& candidate = contest.candidates[contest.worth[i]];
+      if (!given_up() && !contest.is_itself(candidate) &&
+          (is_delay(candidate) || is_within_reach(candidate.gain, first, kWorthRefining)))
+        refine(candidate, task.hypothesis, contest.is_stuck);
+    });
+    if (task.taken_out == nullptr) return;
+    const double fair = kFair * contest.largest_gain();
+    for_each_index(contest.worth.size(), task.hypothesis.threads, [&](std::size_t i) {
+      Candidate& candidate = contest.candidates[contest.worth[i]];
+      if (!given_up() && !contest.is_itself(candidate) && candidate.fitted.possible() &&
+          candidate.gain > fair)
+        fit_from(candidate.fitted.estimate.parameters.effects.back(), task.taken_out->others, task.hypothesis,
+                 candidate);
+    });
+  }
+
+  /// The effect that was taken out was fitted to the end before; where others do as well it may have a better
+  /// form. True if none of them does, so that nothing is left to be done for it.
+  bool fit_itself(Contest& contest) const {
+    bool is_settled = false;
+    for (Candidate& candidate : contest.candidates) {
+      if (!contest.is_itself(candidate) || !candidate.is_fitted) continue;
+      is_settled =
+          std::none_of(contest.candidates.begin(), contest.candidates.end(), [&](const Candidate& other) {
+            return !contest.is_itself(other) && other.is_fitted && other.gain > candidate.gain - kClearly;
+          });
+      if (is_settled) continue;
+      fit(candidate, contest.task.hypothesis, contest.is_stuck);
+      refine(candidate, contest.task.hypothesis, contest.is_stuck);
+    }
+    return is_settled;
+  }
+
+  void finish_leaders(Contest& contest, bool is_settled) const {
+    const Hypothesis& hypothesis = contest.task.hypothesis;
+    const std::size_t others = hypothesis.estimate.parameters.effects.size();
+    const double largest = contest.largest_gain();
+    std::vector<std::size_t> leading;
+    for (std::size_t i = 0; i < contest.candidates.size(); ++i) {
+      const Candidate& candidate = contest.candidates[i];
+      if (candidate.is_fitted && !(is_settled && contest.is_itself(candidate)) &&
+          candidate.evidence > kNearAlarm * alarm(others) &&
+          is_within_reach(candidate.gain, largest, kLeading))
+        leading.push_back(i);
+    }
+    for_each_index(leading.size(), hypothesis.threads, [&](std::size_t i) {
+      if (!given_up()) finish(contest.candidates[leading[i]], hypothesis);
+    });
+    follow_the_best(leading, hypothesis, contest.candidates);
+  }
+
+  /// A candidate that can do all that another can must not end below it, and one that is nearly the same
+  /// should not end far below it: whoever ended lower is fitted once more from the brake and the noise of the
+  /// one that ended highest.
   void follow_the_best(const std::vector<std::size_t>& leading, const Hypothesis& hypothesis,
                        std::vector<Candidate>& candidates) const {
     if (leading.size() < 2 || given_up()) return;
-    const std::size_t best = *std::max_element(leading.begin(), leading.end(), [&](std::size_t a, std::size_t b) {
-      return candidates[a].gain < candidates[b].gain;
-    });
+    const std::size_t best = *std::max_element(
+        leading.begin(), leading.end(),
+        [&](std::size_t a, std::size_t b) { return candidates[a].gain < candidates[b].gain; });
     const Candidate& highest = candidates[best];
     if (!highest.fitted.possible()) return;
-    // Its runs are those that its own delays have moved: a candidate without delays begins from runs as the hypothesis has them.
+    // Its runs are those that its own delays have moved: a candidate without delays begins from runs as the
+    // hypothesis has them.
     Hypothesis there = hypothesis;
-    there.estimate = without_effect(highest.fitted.estimate, highest.fitted.estimate.parameters.effects.size() - 1);
+    there.estimate =
+        without_effect(highest.fitted.estimate, highest.fitted.estimate.parameters.effects.size() - 1);
     for_each_index(leading.size(), hypothesis.threads, [&](std::size_t i) {
       Candidate& candidate = candidates[leading[i]];
       if (leading[i] == best || !candidate.fitted.possible() || given_up()) return;
@@ -319,6 +368,49 @@ bool simplify(std::span<const Run> runs, double alarm, Selection& selection) {
   return false;
 }
 
+/// A model less one of its effects, fitted again.
+struct Reduced {
+  Hypothesis hypothesis;
+  bool as_before = false;  ///< it is where the search was before it added the effect
+};
+
+/// `is_unchanged`: nothing was exchanged or removed since the last effect was added. Without that one the
+/// model is where the search was before, and what else was there to add is known; unless that was no more
+/// than a poor fit of the others.
+Reduced reduced_by(std::size_t effect, bool is_unchanged, std::span<const Run> runs,
+                   const Selection& selection) {
+  Reduced reduced{without(selection.chosen, effect, runs),
+                  is_unchanged && effect + 1 == selection.effects.size()};
+  if (!reduced.as_before) return reduced;
+  const Hypothesis& before = selection.stages[effect - 1].front().fitted;
+  reduced.as_before = !reduced.hypothesis.possible() ||
+                      reduced.hypothesis.log_likelihood() < before.log_likelihood() + kSame_nats;
+  if (!reduced.hypothesis.possible() || before.log_likelihood() > reduced.hypothesis.log_likelihood())
+    reduced.hypothesis = before;
+  return reduced;
+}
+
+/// Every candidate in the place of one effect of the chosen model, best first.
+std::vector<Candidate> in_place_of(std::size_t effect, const Hypothesis& reduced, bool as_before,
+                                   Selector& selector, Selection& selection) {
+  const double until = selection.share + 0.4 * (0.97 - selection.share);
+  if (as_before) {
+    std::vector<Candidate> candidates = selection.stages[effect];
+    for (Candidate& candidate : candidates)
+      if (candidate.is_fitted && candidate.fitted.possible()) weigh(candidate, reduced);
+    best_first(candidates);
+    selection.share = until;
+    return candidates;
+  }
+  TakenOut taken_out{selection.chosen.estimate.parameters.effects[effect], reduced};
+  taken_out.others.estimate = without_effect(selection.chosen.estimate, effect);
+  return selector.judge({.hypothesis = reduced,
+                         .words = fmt::format("is {} needed?", selection.effects[effect].name),
+                         .until = until,
+                         .taken_out = &taken_out},
+                        selection.share);
+}
+
 }  // namespace
 
 double alarm_level(double false_alarm) {
@@ -332,18 +424,18 @@ bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Sele
   double formed = 0.0;
   for (const Selected& selected : selection.effects)
     if (selected.name != kSpikes) formed += selected.gain;
-  FitTask question{.hypothesis = selection.chosen,
-                    .words = "trying every effect",
-                    .until = selection.share + 0.5 * (0.95 - selection.share),
-                    .material = kMaterial * formed};
+  FitTask task{.hypothesis = selection.chosen,
+               .words = "trying every effect",
+               .until = selection.share + 0.5 * (0.95 - selection.share),
+               .material = kMaterial * formed};
   if (others > 0) {
-    question.words = fmt::format("trying every effect beside {} found", others);
+    task.words = fmt::format("trying every effect beside {} found", others);
     const Candidate& added = selection.stages.back().front();
     if (added.twice.possible() &&
         is_harmonic(added.twice.estimate.parameters.effects.back(), selection.chosen))
-      question.begun = &added.twice;
+      task.begun = &added.twice;
   }
-  selection.stages.push_back(selector.judge(question, selection.share));
+  selection.stages.push_back(selector.judge(task, selection.share));
   const std::vector<Candidate>& candidates = selection.stages.back();
   if (candidates.empty() || !selector.is_alarm(candidates.front(), others)) return false;
   const Candidate& best = candidates.front();
@@ -368,15 +460,8 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
       changed = true;
       e = 0;
     }
-    Hypothesis reduced = without(selection.chosen, e, runs);
-    // Without the last one it is where the search was before, and what else was there to add is known; unless
-    // that was no more than a poor fit of the others.
-    bool as_before = exchanges == 0 && selection.effects.size() == added && e + 1 == added;
-    if (as_before) {
-      const Hypothesis& before = selection.stages[e - 1].front().fitted;
-      as_before = !reduced.possible() || reduced.log_likelihood() < before.log_likelihood() + kSame_nats;
-      if (!reduced.possible() || before.log_likelihood() > reduced.log_likelihood()) reduced = before;
-    }
+    const auto [reduced, as_before] =
+        reduced_by(e, exchanges == 0 && selection.effects.size() == added, runs, selection);
     // A fit that got lost says nothing against the effect.
     if (!reduced.possible() || reduced.log_likelihood() < selection.base.log_likelihood()) {
       ++e;
@@ -394,23 +479,7 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
       e = 0;
       continue;
     }
-    const double until = selection.share + 0.4 * (0.97 - selection.share);
-    std::vector<Candidate> candidates;
-    if (as_before) {
-      candidates = selection.stages[e];
-      for (Candidate& candidate : candidates)
-        if (candidate.is_fitted && candidate.fitted.possible()) weigh(candidate, reduced);
-      best_first(candidates);
-      selection.share = until;
-    } else {
-      TakenOut taken_out{selection.chosen.estimate.parameters.effects[e], reduced};
-      taken_out.others.estimate = without_effect(selection.chosen.estimate, e);
-      candidates = selector.judge({.hypothesis = reduced,
-                                   .words = fmt::format("is {} needed?", name),
-                                   .until = until,
-                                   .taken_out = &taken_out},
-                                  selection.share);
-    }
+    const std::vector<Candidate> candidates = in_place_of(e, reduced, as_before, selector, selection);
     const auto itself = std::find_if(candidates.begin(), candidates.end(),
                                      [&](const Candidate& candidate) { return candidate.name() == name; });
     // A fit of the same name may have ended higher than where the search came from.

@@ -23,14 +23,14 @@ constexpr double kSafeCeiling_N = 44'000.0;
 constexpr double kSafeSpeed_rad_s = 500.0;
 constexpr double kSafeTorque_Nm = 10.0;
 
-/// Calls `read(reader)` on a table if it is there, and refuses what is left over.
+/// Calls `read(reader, table)` on a table if it is there, and refuses what is left over.
 template <class Read>
 void read_section(TableReader& document, std::string_view key, const std::string& file,
                   std::optional<Error>& error, Read read) {
   const toml::table* table = document.table(key);
   if (table == nullptr || error) return;
   TableReader reader(*table, std::string(key), file, error);
-  read(reader);
+  read(reader, *table);
   reader.finish();
 }
 
@@ -143,6 +143,175 @@ void read_gpio(TableReader& reader, const toml::table& table, const std::string&
   }
 }
 
+void read_realtime(TableReader& reader, RealtimeSettings& realtime) {
+  reader.integer("priority", realtime.priority, 0, 98);  // 99 belongs to the kernel's own threads
+  reader.integer("cpu", realtime.cpu, -1, 1023);
+  reader.boolean("lock_memory", realtime.lock_memory);
+}
+
+void read_supervisor(TableReader& reader, SupervisorSettings& s) {
+  reader.number("start_up_ms", s.start_up_ms, 10.0, 60'000.0);
+  reader.number("stale_after_ms", s.stale_after_ms, 1.5,
+                4.5);  // beyond, torque would outlive its cause by 5 ms
+  reader.integer("corrupt_frames_max", s.corrupt_frames_max, 0, 3);
+  reader.integer("frozen_frames_max", s.frozen_frames_max, 0, 3);
+  reader.integer("implausible_frames_max", s.implausible_frames_max, 0, 3);
+  reader.integer("send_failures_max", s.send_failures_max, 0, 3);
+  reader.number("over_force_N", s.over_force_N, 100.0, kSafeForce_N);
+  reader.number("over_force_ceiling_N", s.over_force_ceiling_N, 100.0, kSafeCeiling_N);
+  reader.number("over_speed_rad_s", s.over_speed_rad_s, 1.0, kSafeSpeed_rad_s);
+  reader.number("over_torque_Nm", s.over_torque_Nm, 0.1, kSafeTorque_Nm);
+  reader.number("over_travel_rad", s.over_travel_rad, 1.0, 10'000.0);
+  reader.number("plausible_force_N", s.plausible_force_N, 1'000.0, 1e6);
+  reader.number("plausible_velocity_rad_s", s.plausible_velocity_rad_s, 10.0, 1e4);
+  reader.number("plausible_torque_Nm", s.plausible_torque_Nm, 1.0, 1e3);
+  reader.number("torque_mismatch_Nm", s.torque_mismatch_Nm, 0.01, 1.0);
+  reader.number("velocity_mismatch_rad_s", s.velocity_mismatch_rad_s, 5.0, 100.0);
+  reader.number("position_mismatch_rad", s.position_mismatch_rad, 0.05, 2.0);
+  reader.number("force_mismatch_N", s.force_mismatch_N, 200.0, 10'000.0);
+  reader.integer("missed_ticks_max", s.missed_ticks_max, 0, 3);
+  reader.integer("missed_ticks_total_max", s.missed_ticks_total_max, 0, 100'000);
+  reader.boolean("drive_reports_live", s.drive_reports_live);
+}
+
+void read_check(TableReader& reader, const toml::table& table, const std::string& folder, CheckSettings& c) {
+  reader.integer("repeats", c.repeats, 1, 200);
+  reader.path("trajectory", c.trajectory, folder);
+  reader.number("tare_s", c.tare_s, 0.05, 10.0);
+  reader.number("approach_velocity_rad_s", c.approach_velocity_rad_s, 1.0, 100.0);
+  reader.number("contact_force_N", c.contact_force_N, 10.0, 5'000.0);
+  reader.number("clearance_rad", c.clearance_rad, 0.5, 100.0);
+  reader.number("settle_s", c.settle_s, 0.0, 10.0);
+  reader.number("phase_timeout_s", c.phase_timeout_s, 0.1, 60.0);
+  reader.number("torque_limit_Nm", c.torque_limit_Nm, 0.1, kSafeTorque_Nm);
+  std::string method(to_string(c.method));
+  reader.choice("method", method, {"oem", "pem"});
+  c.method = *parse_method(method);
+  reader.path("model", c.model, folder);
+  if (!c.model.empty()) {
+    if (reader.has("method") && c.method != Method::PredictionError)
+      reader.refuse(table.get("method")->source(),
+                    "check.method = oem and check.model exclude each other: effects are estimated by the "
+                    "prediction error method; write \"pem\" or leave the method out");
+    c.method = Method::PredictionError;
+  }
+  reader.boolean("diagnose", c.diagnose);
+  reader.number("deadline_s", c.deadline_s, 1.0, 3'600.0);
+}
+
+void read_validity(TableReader& reader, ValiditySettings& v) {
+  reader.integer("skipped_ticks_max", v.skipped_ticks_max, 0, 100'000);
+  reader.integer("lost_samples_max", v.lost_samples_max, 0, 100'000);
+  reader.number("tracking_rms_max_N", v.tracking_rms_max_N, 1.0, kSafeForce_N);
+  reader.number("torque_noise_Nm", v.torque_noise_Nm, 0.0, 1.0);
+  reader.number("misfit_max", v.misfit_max, 1.0, 1'000.0);
+}
+
+void read_control(TableReader& reader, const toml::table& table, const std::string& folder,
+                  ControlSettings& control) {
+  reader.text("address", control.address);
+  reader.integer("port", control.port, 1, 65'535);
+  reader.path("token_file", control.token_file, folder);
+  reader.texts("origins", control.origins);
+  for (std::string& origin : control.origins)
+    if (std::optional<std::string> canonical = canonical_origin(origin))
+      origin = std::move(*canonical);
+    else
+      reader.refuse(table.get("origins")->source(),
+                    fmt::format("control.origins: \"{}\" must be what a browser shows before the first path, "
+                                "https://HOST or https://HOST:PORT",
+                                origin));
+}
+
+void read_mqtt(TableReader& reader, const toml::table& table, const std::string& folder,
+               MqttConfiguration& m) {
+  reader.text("host", m.host);
+  reader.integer("port", m.port, 1, 65'535);
+  reader.path("tls_ca_file", m.tls_ca_file, folder);
+  reader.text("user", m.user);
+  reader.path("password_file", m.password_file, folder);
+  reader.text("client_id", m.client_id);
+  reader.text("topic_prefix", m.topic_prefix);
+  reader.text("sparkplug_group", m.sparkplug_group);
+  reader.text("sparkplug_node", m.sparkplug_node);
+  const toml::source_region& where = table.source();
+  if (m.topic_prefix.empty() || m.topic_prefix.find_first_of("+#") != std::string::npos ||
+      m.topic_prefix.front() == '$')
+    reader.refuse(where, "mqtt.topic_prefix must not be empty, begin with $ or contain + or #");
+  for (const auto& [key, name] :
+       {std::pair("sparkplug_group", &m.sparkplug_group), std::pair("sparkplug_node", &m.sparkplug_node)})
+    if (name->find_first_of("+#/") != std::string::npos)
+      reader.refuse(where, fmt::format("mqtt.{} must not contain +, # or /", key));
+  if (m.user.empty() && !m.password_file.empty()) reader.refuse(where, "mqtt.password_file needs mqtt.user");
+}
+
+void read_postgresql(TableReader& reader, const std::string& folder, PostgresqlConfiguration& p) {
+  reader.text("host", p.host);
+  reader.integer("port", p.port, 1, 65'535);
+  reader.text("database", p.database);
+  reader.text("user", p.user);
+  reader.path("password_file", p.password_file, folder);
+  reader.path("tls_ca_file", p.tls_ca_file, folder);
+}
+
+/// After [mqtt] and [postgresql]: a channel that is not there never publishes, and the disk would fill.
+void read_retention(TableReader& reader, const toml::table& table, const StationConfiguration& configuration,
+                    RetentionSettings& retention) {
+  reader.integer("raw_days", retention.raw_days, 0, 36'500);
+  reader.integer("raw_megabytes", retention.raw_megabytes, 0, 100'000'000);
+  reader.texts("published", retention.published);
+  std::vector<std::string_view> channels;
+  if (configuration.mqtt.used()) channels.emplace_back("mqtt");
+  if (configuration.postgresql.used()) channels.emplace_back("postgresql");
+  for (const std::string& channel : retention.published)
+    if (std::find(channels.begin(), channels.end(), channel) == channels.end())
+      reader.refuse(
+          table.get("published")->source(),
+          fmt::format("retention.published names \"{}\", to which nothing is published; {}", channel,
+                      channels.empty() ? "configure [mqtt] or [postgresql], or leave it out"
+                                       : fmt::format("there are: {}", fmt::join(channels, ", "))));
+}
+
+void read_master(TableReader& reader, const toml::table& table, const std::string& folder,
+                 MasterSettings& master) {
+  reader.text("serial", master.serial, 80);
+  master.serial = trimmed(master.serial);
+  reader.path("limits", master.limits, folder);
+  reader.number("due_h", master.due_h, 0.1, 10'000.0);
+  reader.boolean("required", master.required);
+  if (master.serial.empty() != master.limits.empty())
+    reader.refuse(table.source(),
+                  "master needs both serial and limits: the brake, and the file with its certified values");
+}
+
+/// What a file leaves open: of the parts that were read, and of what they say together.
+Result<void> complete(StationConfiguration& configuration, std::optional<bool> simulated) {
+  const std::string& path = configuration.file;
+  const std::string& interface = configuration.can.interface;
+  const bool no_hardware = interface.empty() || interface.rfind("vcan", 0) == 0 || interface == "simulated";
+  if (simulated == false && interface.empty())
+    return failure(
+        fmt::format("{}: station.simulated_brake is false, but without can.interface the brake is the "
+                    "embedded simulated one",
+                    path));
+  configuration.simulated_brake = simulated.value_or(no_hardware);
+  if (configuration.database.empty())
+    configuration.database = default_database(configuration.simulated_brake);
+  if (configuration.check.torque_limit_Nm >= configuration.supervisor.over_torque_Nm)
+    return failure(fmt::format("{}: check.torque_limit_Nm = {} must be below supervisor.over_torque_Nm = {}",
+                               path, configuration.check.torque_limit_Nm,
+                               configuration.supervisor.over_torque_Nm));
+  if (configuration.supervisor.over_force_ceiling_N < configuration.supervisor.over_force_N)
+    return failure(fmt::format(
+        "{}: supervisor.over_force_ceiling_N = {} must not be below supervisor.over_force_N = {}", path,
+        configuration.supervisor.over_force_ceiling_N, configuration.supervisor.over_force_N));
+  if (configuration.check.contact_force_N >= configuration.supervisor.over_force_N)
+    return failure(fmt::format("{}: check.contact_force_N = {} must be below supervisor.over_force_N = {}",
+                               path, configuration.check.contact_force_N,
+                               configuration.supervisor.over_force_N));
+  return {};
+}
+
 }  // namespace
 
 std::string default_database(bool simulated) {
@@ -184,8 +353,11 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
   std::optional<bool> simulated;
   std::string model_file;
   TableReader document(*parsed, "", path, error);
+  const auto section = [&](std::string_view key, auto read) {
+    read_section(document, key, path, error, read);
+  };
 
-  read_section(document, "station", path, error, [&](TableReader& reader) {
+  section("station", [&](TableReader& reader, const toml::table&) {
     reader.text("name", configuration.name);
     reader.text("fixture", configuration.fixture);
     reader.text("part_number", configuration.part_number);
@@ -196,185 +368,53 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
     if (reader.has("simulated_brake")) simulated = value;
   });
   read_instruments(document, path, error, configuration.instruments);
-  read_section(document, "simulation", path, error,
-               [&](TableReader& reader) { reader.path("brake", configuration.plant_file, folder); });
-  if (const toml::table* can = document.table("can"); can != nullptr && !error) {
-    TableReader reader(*can, "can", path, error);
-    read_can(reader, *can, path, folder, error, configuration.can);
-    reader.finish();
-  }
-  read_section(document, "realtime", path, error, [&](TableReader& reader) {
-    reader.integer("priority", configuration.realtime.priority, 0,
-                   98);  // 99 belongs to the kernel's own threads
-    reader.integer("cpu", configuration.realtime.cpu, -1, 1023);
-    reader.boolean("lock_memory", configuration.realtime.lock_memory);
+  section("simulation", [&](TableReader& reader, const toml::table&) {
+    reader.path("brake", configuration.plant_file, folder);
   });
-  read_section(document, "supervisor", path, error, [&](TableReader& reader) {
-    SupervisorSettings& s = configuration.supervisor;
-    reader.number("start_up_ms", s.start_up_ms, 10.0, 60'000.0);
-    reader.number("stale_after_ms", s.stale_after_ms, 1.5,
-                  4.5);  // beyond, torque would outlive its cause by 5 ms
-    reader.integer("corrupt_frames_max", s.corrupt_frames_max, 0, 3);
-    reader.integer("frozen_frames_max", s.frozen_frames_max, 0, 3);
-    reader.integer("implausible_frames_max", s.implausible_frames_max, 0, 3);
-    reader.integer("send_failures_max", s.send_failures_max, 0, 3);
-    reader.number("over_force_N", s.over_force_N, 100.0, kSafeForce_N);
-    reader.number("over_force_ceiling_N", s.over_force_ceiling_N, 100.0, kSafeCeiling_N);
-    reader.number("over_speed_rad_s", s.over_speed_rad_s, 1.0, kSafeSpeed_rad_s);
-    reader.number("over_torque_Nm", s.over_torque_Nm, 0.1, kSafeTorque_Nm);
-    reader.number("over_travel_rad", s.over_travel_rad, 1.0, 10'000.0);
-    reader.number("plausible_force_N", s.plausible_force_N, 1'000.0, 1e6);
-    reader.number("plausible_velocity_rad_s", s.plausible_velocity_rad_s, 10.0, 1e4);
-    reader.number("plausible_torque_Nm", s.plausible_torque_Nm, 1.0, 1e3);
-    reader.number("torque_mismatch_Nm", s.torque_mismatch_Nm, 0.01, 1.0);
-    reader.number("velocity_mismatch_rad_s", s.velocity_mismatch_rad_s, 5.0, 100.0);
-    reader.number("position_mismatch_rad", s.position_mismatch_rad, 0.05, 2.0);
-    reader.number("force_mismatch_N", s.force_mismatch_N, 200.0, 10'000.0);
-    reader.integer("missed_ticks_max", s.missed_ticks_max, 0, 3);
-    reader.integer("missed_ticks_total_max", s.missed_ticks_total_max, 0, 100'000);
-    reader.boolean("drive_reports_live", s.drive_reports_live);
+  section("can", [&](TableReader& reader, const toml::table& table) {
+    read_can(reader, table, path, folder, error, configuration.can);
   });
-  read_section(document, "check", path, error, [&](TableReader& reader) {
-    CheckSettings& c = configuration.check;
-    reader.integer("repeats", c.repeats, 1, 200);
-    reader.path("trajectory", c.trajectory, folder);
-    reader.number("tare_s", c.tare_s, 0.05, 10.0);
-    reader.number("approach_velocity_rad_s", c.approach_velocity_rad_s, 1.0, 100.0);
-    reader.number("contact_force_N", c.contact_force_N, 10.0, 5'000.0);
-    reader.number("clearance_rad", c.clearance_rad, 0.5, 100.0);
-    reader.number("settle_s", c.settle_s, 0.0, 10.0);
-    reader.number("phase_timeout_s", c.phase_timeout_s, 0.1, 60.0);
-    reader.number("torque_limit_Nm", c.torque_limit_Nm, 0.1, kSafeTorque_Nm);
-    std::string method(to_string(c.method));
-    reader.choice("method", method, {"oem", "pem"});
-    c.method = *parse_method(method);
-    reader.path("model", c.model, folder);
-    if (!c.model.empty()) {
-      if (reader.has("method") && c.method != Method::PredictionError)
-        reader.refuse((*parsed)["check"]["method"].node()->source(),
-                      "check.method = oem and check.model exclude each other: effects are estimated by the "
-                      "prediction error method; write \"pem\" or leave the method out");
-      c.method = Method::PredictionError;
-    }
-    reader.boolean("diagnose", c.diagnose);
-    reader.number("deadline_s", c.deadline_s, 1.0, 3'600.0);
+  section("realtime",
+          [&](TableReader& reader, const toml::table&) { read_realtime(reader, configuration.realtime); });
+  section("supervisor", [&](TableReader& reader, const toml::table&) {
+    read_supervisor(reader, configuration.supervisor);
   });
-  read_section(document, "validity", path, error, [&](TableReader& reader) {
-    ValiditySettings& v = configuration.validity;
-    reader.integer("skipped_ticks_max", v.skipped_ticks_max, 0, 100'000);
-    reader.integer("lost_samples_max", v.lost_samples_max, 0, 100'000);
-    reader.number("tracking_rms_max_N", v.tracking_rms_max_N, 1.0, kSafeForce_N);
-    reader.number("torque_noise_Nm", v.torque_noise_Nm, 0.0, 1.0);
-    reader.number("misfit_max", v.misfit_max, 1.0, 1'000.0);
+  section("check", [&](TableReader& reader, const toml::table& table) {
+    read_check(reader, table, folder, configuration.check);
   });
-  read_section(document, "model", path, error,
-               [&](TableReader& reader) { reader.path("brake", model_file, folder); });
-  read_section(document, "limits", path, error,
-               [&](TableReader& reader) { reader.path("file", configuration.limits_file, folder); });
-  read_section(document, "archive", path, error,
-               [&](TableReader& reader) { reader.path("database", configuration.database, folder); });
-  read_section(document, "control", path, error, [&](TableReader& reader) {
-    reader.text("address", configuration.control.address);
-    reader.integer("port", configuration.control.port, 1, 65'535);
-    reader.path("token_file", configuration.control.token_file, folder);
-    reader.texts("origins", configuration.control.origins);
-    for (std::string& origin : configuration.control.origins)
-      if (std::optional<std::string> canonical = canonical_origin(origin))
-        origin = std::move(*canonical);
-      else
-        reader.refuse(
-            (*parsed)["control"]["origins"].node()->source(),
-            fmt::format("control.origins: \"{}\" must be what a browser shows before the first path, "
-                        "https://HOST or https://HOST:PORT",
-                        origin));
+  section("validity",
+          [&](TableReader& reader, const toml::table&) { read_validity(reader, configuration.validity); });
+  section("model",
+          [&](TableReader& reader, const toml::table&) { reader.path("brake", model_file, folder); });
+  section("limits", [&](TableReader& reader, const toml::table&) {
+    reader.path("file", configuration.limits_file, folder);
   });
-  read_section(document, "mqtt", path, error, [&](TableReader& reader) {
-    MqttConfiguration& m = configuration.mqtt;
-    reader.text("host", m.host);
-    reader.integer("port", m.port, 1, 65'535);
-    reader.path("tls_ca_file", m.tls_ca_file, folder);
-    reader.text("user", m.user);
-    reader.path("password_file", m.password_file, folder);
-    reader.text("client_id", m.client_id);
-    reader.text("topic_prefix", m.topic_prefix);
-    reader.text("sparkplug_group", m.sparkplug_group);
-    reader.text("sparkplug_node", m.sparkplug_node);
-    const toml::source_region& where = (*parsed)["mqtt"].node()->source();
-    if (m.topic_prefix.empty() || m.topic_prefix.find_first_of("+#") != std::string::npos ||
-        m.topic_prefix.front() == '$')
-      reader.refuse(where, "mqtt.topic_prefix must not be empty, begin with $ or contain + or #");
-    for (const auto& [key, name] :
-         {std::pair("sparkplug_group", &m.sparkplug_group), std::pair("sparkplug_node", &m.sparkplug_node)})
-      if (name->find_first_of("+#/") != std::string::npos)
-        reader.refuse(where, fmt::format("mqtt.{} must not contain +, # or /", key));
-    if (m.user.empty() && !m.password_file.empty())
-      reader.refuse(where, "mqtt.password_file needs mqtt.user");
+  section("archive", [&](TableReader& reader, const toml::table&) {
+    reader.path("database", configuration.database, folder);
   });
-  read_section(document, "postgresql", path, error, [&](TableReader& reader) {
-    PostgresqlConfiguration& p = configuration.postgresql;
-    reader.text("host", p.host);
-    reader.integer("port", p.port, 1, 65'535);
-    reader.text("database", p.database);
-    reader.text("user", p.user);
-    reader.path("password_file", p.password_file, folder);
-    reader.path("tls_ca_file", p.tls_ca_file, folder);
+  section("control", [&](TableReader& reader, const toml::table& table) {
+    read_control(reader, table, folder, configuration.control);
   });
-  read_section(document, "retention", path, error, [&](TableReader& reader) {
-    reader.integer("raw_days", configuration.retention.raw_days, 0, 36'500);
-    reader.integer("raw_megabytes", configuration.retention.raw_megabytes, 0, 100'000'000);
-    reader.texts("published", configuration.retention.published);
-    // A channel that is not there never publishes, and the disk would fill.
-    std::vector<std::string_view> channels;
-    if (configuration.mqtt.used()) channels.emplace_back("mqtt");
-    if (configuration.postgresql.used()) channels.emplace_back("postgresql");
-    for (const std::string& channel : configuration.retention.published)
-      if (std::find(channels.begin(), channels.end(), channel) == channels.end())
-        reader.refuse(
-            (*parsed)["retention"]["published"].node()->source(),
-            fmt::format("retention.published names \"{}\", to which nothing is published; {}", channel,
-                        channels.empty() ? "configure [mqtt] or [postgresql], or leave it out"
-                                         : fmt::format("there are: {}", fmt::join(channels, ", "))));
+  section("mqtt", [&](TableReader& reader, const toml::table& table) {
+    read_mqtt(reader, table, folder, configuration.mqtt);
   });
-  read_section(document, "master", path, error, [&](TableReader& reader) {
-    reader.text("serial", configuration.master.serial, 80);
-    configuration.master.serial = trimmed(configuration.master.serial);
-    reader.path("limits", configuration.master.limits, folder);
-    reader.number("due_h", configuration.master.due_h, 0.1, 10'000.0);
-    reader.boolean("required", configuration.master.required);
-    if (configuration.master.serial.empty() != configuration.master.limits.empty())
-      reader.refuse((*parsed)["master"].node()->source(),
-                    "master needs both serial and limits: the brake, and the file with its certified values");
+  section("postgresql", [&](TableReader& reader, const toml::table&) {
+    read_postgresql(reader, folder, configuration.postgresql);
   });
-  if (const toml::table* gpio = document.table("gpio"); gpio != nullptr && !error) {
-    TableReader reader(*gpio, "gpio", path, error);
-    read_gpio(reader, *gpio, path, error, configuration.gpio);
-    reader.finish();
-  }
+  section("retention", [&](TableReader& reader, const toml::table& table) {
+    read_retention(reader, table, configuration, configuration.retention);
+  });
+  section("master", [&](TableReader& reader, const toml::table& table) {
+    read_master(reader, table, folder, configuration.master);
+  });
+  section("gpio", [&](TableReader& reader, const toml::table& table) {
+    read_gpio(reader, table, path, error, configuration.gpio);
+  });
   document.finish();
   if (error) return tl::unexpected(*error);
 
-  const std::string& interface = configuration.can.interface;
-  const bool no_hardware = interface.empty() || interface.rfind("vcan", 0) == 0 || interface == "simulated";
-  if (simulated == false && interface.empty())
-    return failure(
-        fmt::format("{}: station.simulated_brake is false, but without can.interface the brake is the "
-                    "embedded simulated one",
-                    path));
-  configuration.simulated_brake = simulated.value_or(no_hardware);
-  if (configuration.database.empty())
-    configuration.database = default_database(configuration.simulated_brake);
-  if (configuration.check.torque_limit_Nm >= configuration.supervisor.over_torque_Nm)
-    return failure(fmt::format("{}: check.torque_limit_Nm = {} must be below supervisor.over_torque_Nm = {}",
-                               path, configuration.check.torque_limit_Nm,
-                               configuration.supervisor.over_torque_Nm));
-  if (configuration.supervisor.over_force_ceiling_N < configuration.supervisor.over_force_N)
-    return failure(fmt::format(
-        "{}: supervisor.over_force_ceiling_N = {} must not be below supervisor.over_force_N = {}", path,
-        configuration.supervisor.over_force_ceiling_N, configuration.supervisor.over_force_N));
-  if (configuration.check.contact_force_N >= configuration.supervisor.over_force_N)
-    return failure(fmt::format("{}: check.contact_force_N = {} must be below supervisor.over_force_N = {}",
-                               path, configuration.check.contact_force_N,
-                               configuration.supervisor.over_force_N));
+  if (const Result<void> completed = complete(configuration, simulated); !completed)
+    return tl::unexpected(completed.error());
   if (!model_file.empty()) {
     const Result<BrakeParameters> model = read_brake_parameters(model_file);
     if (!model) return tl::unexpected(model.error());
