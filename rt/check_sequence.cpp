@@ -140,7 +140,7 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
         limited_torque_Nm(torque_Nm, limits, plan_->drive, observer_.velocity_rad_s(), force_N_, slope_N_rad);
   }
   output.context = {.at_rest = stage_ == Stage::Tare,
-                    .stop_ahead = stage_ == Stage::Open || stage_ == Stage::Release,
+                    .stop_ahead = stage_ == Stage::Open || stage_ == Stage::Rest || stage_ == Stage::Release,
                     .contact_known = contact_known_,
                     .contact_rad = proof_.origin_rad,
                     .force_zero_N = force_offset_N_};

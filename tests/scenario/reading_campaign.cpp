@@ -136,7 +136,12 @@ void count(SpoilTally& tally, const sim::SpoiledReading& spoiled, const CheckOut
 
 /// What the supervisor lets pass, the estimate has to notice: the same brake in a whole check.
 std::string judge(SpoilTally& tally, const sim::PlantConfiguration& plant) {
-  const CheckRecord record = assembly::check(plant, 20);
+  const Result<CheckRecord> checked = assembly::try_check(plant, 20);
+  if (!checked) {
+    ++tally.errors;
+    return "refused: " + checked.error().message;
+  }
+  const CheckRecord& record = *checked;
   tally.errors += record.verdict == Verdict::Error ? 1 : 0;
   if (record.verdict == Verdict::Pass || record.verdict == Verdict::Fail)
     for (std::size_t k = 0; k < kParameterCount; ++k) {

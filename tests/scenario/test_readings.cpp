@@ -51,6 +51,18 @@ TEST(SpoiledReadings, ABrakeThatIsHeldByItsOpenEndStopHasTrueReadings) {
   }
 }
 
+/// A brake that is found wide open comes to rest just where its end stop is: whatever it does there is no
+/// lie.
+TEST(SpoiledReadings, ABrakeThatComesToRestAtItsOpenEndStopHasTrueReadings) {
+  const Reference reference = shipped_reference();
+  for (int i = 0; i <= 60; ++i) {
+    sim::PlantConfiguration plant = shipped_plant();
+    plant.clearance_rad = 21.8 + 0.02 * i;
+    EXPECT_EQ(drive_check(plant, reference, 1).fault, FaultCause::None)
+        << "found " << plant.clearance_rad << " rad from the pads";
+  }
+}
+
 TEST(SpoiledReadings, HealthyBrakesOfAllSortsRaiseNoFault) {
   const HealthyCampaign campaign = run_healthy_campaign(400, 7);
   for (const std::string& fault : campaign.faults) ADD_FAILURE() << fault;
