@@ -250,111 +250,141 @@ std::uint8_t FrameLayout::counter_of(const Frame& frame) const noexcept {
   return static_cast<std::uint8_t>(counter.raw(frame));
 }
 
-Result<ProtocolCodec> ProtocolCodec::build(const Database& database, const ProtocolMapping& mapping) {
-  ProtocolCodec codec;
+namespace {
 
-  const auto command_field = [&](std::string_view what, const std::string& name, const auto& units,
-                                 Field& field) -> Result<const Message*> {
-    const auto place = find(database, what, name);
+/// Resolves the names of a mapping, one after the other, into a codec.
+class CodecBuilder {
+ public:
+  CodecBuilder(const Database& database, const ProtocolMapping& mapping)
+      : database_(database), mapping_(mapping) {}
+
+  Result<ProtocolCodec> build() {
+    const Result<void> outcome = add_command()
+                                     .and_then([&] { return check_torque_command(); })
+                                     .and_then([&] { return add_feedback(); })
+                                     .and_then([&] { return add_clock_tick(); });
+    if (!outcome) return failure(outcome.error().message);
+    // Builds the CRC's table now rather than in the first tick.
+    Frame warm_up = codec_.command.blank();
+    codec_.command.protect(warm_up, 0);
+    return codec_;
+  }
+
+ private:
+  template <class Units>
+  Result<const Message*> command_field(std::string_view what, const std::string& name, const Units& units,
+                                       Field& field) const {
+    const auto place = find(database_, what, name);
     if (!place) return failure(place.error().message);
-    const auto factor = si_factor(database, what, name, place->signal->unit, units);
+    const auto factor = si_factor(database_, what, name, place->signal->unit, units);
     if (!factor) return failure(factor.error().message);
     if (place->message->size_bytes <= 8) field = Field{*place->signal, *factor};
     return place->message;
-  };
-  const auto torque_message =
-      command_field("torque command", mapping.torque_command, kTorqueUnits, codec.torque_command);
-  if (!torque_message) return failure(torque_message.error().message);
-  const auto enable_message = command_field("enable", mapping.enable, kFlagUnits, codec.enable);
-  if (!enable_message) return failure(enable_message.error().message);
-  if (*torque_message != *enable_message) {
-    return failure(fmt::format("{} and {} must be signals of one message of {}", mapping.torque_command,
-                               mapping.enable, database.file));
   }
-  const auto command = frame_layout(database, **torque_message, mapping);
-  if (!command) return failure(command.error().message);
-  codec.command = *command;
-  if (codec.torque_command.plausible(0.0) && codec.torque_command.minimum() < 0.0 &&
-      codec.torque_command.maximum() > 0.0) {
-    Frame probe = codec.command.blank();
-    codec.torque_command.encode(probe, 0.0);
-    if (std::abs(codec.torque_command.decode(probe)) > 0.01 * std::abs(codec.torque_command.scale())) {
+
+  Result<void> add_command() {
+    const auto torque =
+        command_field("torque command", mapping_.torque_command, kTorqueUnits, codec_.torque_command);
+    if (!torque) return failure(torque.error().message);
+    const auto enable = command_field("enable", mapping_.enable, kFlagUnits, codec_.enable);
+    if (!enable) return failure(enable.error().message);
+    if (*torque != *enable)
+      return failure(fmt::format("{} and {} must be signals of one message of {}", mapping_.torque_command,
+                                 mapping_.enable, database_.file));
+    const auto layout = frame_layout(database_, **torque, mapping_);
+    if (!layout) return failure(layout.error().message);
+    codec_.command = *layout;
+    command_message_ = *torque;
+    return {};
+  }
+
+  Result<void> check_torque_command() const {
+    const Field& torque = codec_.torque_command;
+    if (!torque.plausible(0.0) || !(torque.minimum() < 0.0) || !(torque.maximum() > 0.0))
+      return failure(fmt::format("{} in {} must have a range that includes torques of both signs",
+                                 mapping_.torque_command, database_.file));
+    Frame probe = codec_.command.blank();
+    torque.encode(probe, 0.0);
+    if (std::abs(torque.decode(probe)) > 0.01 * std::abs(torque.scale()))
       return failure(
           fmt::format("{} in {} cannot express zero torque: its offset must be a multiple of its scale",
-                      mapping.torque_command, database.file));
-    }
-  } else {
-    return failure(fmt::format("{} in {} must have a range that includes torques of both signs",
-                               mapping.torque_command, database.file));
+                      mapping_.torque_command, database_.file));
+    return {};
   }
 
-  std::vector<const Message*> messages;
-  const auto feedback_field = [&](std::string_view what, const std::string& name, const auto& units,
-                                  bool required, FeedbackField& field) -> Result<void> {
+  template <class Units>
+  Result<void> feedback_field(std::string_view what, const std::string& name, const Units& units,
+                              bool required, FeedbackField& field) {
     if (name.empty() && !required) return {};
-    const auto place = find(database, what, name);
+    const auto place = find(database_, what, name);
     if (!place) return failure(place.error().message);
-    if (place->message == *torque_message) {
+    if (place->message == command_message_)
       return failure(fmt::format("{}: {} is in the command's own message", what, name));
-    }
-    const auto factor = si_factor(database, what, name, place->signal->unit, units);
+    const auto factor = si_factor(database_, what, name, place->signal->unit, units);
     if (!factor) return failure(factor.error().message);
-    auto found = std::find(messages.begin(), messages.end(), place->message);
-    if (found == messages.end()) {
-      if (messages.size() == kMaximumFeedbackFrames) {
+    auto found = std::find(messages_.begin(), messages_.end(), place->message);
+    if (found == messages_.end()) {
+      if (messages_.size() == kMaximumFeedbackFrames)
         return failure(
             fmt::format("the feedback is spread over more than {} messages", kMaximumFeedbackFrames));
-      }
-      const auto layout = frame_layout(database, *place->message, mapping);
+      const auto layout = frame_layout(database_, *place->message, mapping_);
       if (!layout) return failure(layout.error().message);
-      codec.feedback[messages.size()] = *layout;
-      messages.push_back(place->message);
-      found = messages.end() - 1;
+      codec_.feedback[messages_.size()] = *layout;
+      messages_.push_back(place->message);
+      found = messages_.end() - 1;
     }
     field.present = true;
-    field.frame = static_cast<std::size_t>(found - messages.begin());
+    field.frame = static_cast<std::size_t>(found - messages_.begin());
     field.field = Field{*place->signal, *factor};
     return {};
-  };
-  // The order of the frames is that of the names here.
-  const Result<void> outcome =
-      feedback_field("force", mapping.force, kForceUnits, true, codec.force)
-          .and_then([&] {
-            return feedback_field("velocity", mapping.velocity, kVelocityUnits, true, codec.velocity);
-          })
-          .and_then(
-              [&] { return feedback_field("torque", mapping.torque, kTorqueUnits, true, codec.torque); })
-          .and_then([&] {
-            return feedback_field("position", mapping.position, kAngleUnits, false, codec.position);
-          })
-          .and_then([&] {
-            return feedback_field("sample clock", mapping.sample_clock, kTimeUnits, true, codec.sample_clock);
-          })
-          .and_then(
-              [&] { return feedback_field("enabled", mapping.enabled, kFlagUnits, false, codec.enabled); })
-          .and_then(
-              [&] { return feedback_field("watchdog", mapping.watchdog, kFlagUnits, false, codec.watchdog); })
-          .and_then([&] { return feedback_field("fault", mapping.fault, kFlagUnits, false, codec.fault); });
-  if (!outcome) return failure(outcome.error().message);
-  codec.feedback_frames = messages.size();
-
-  const Signal& clock = *find(database, "sample clock", mapping.sample_clock)->signal;
-  const double tick_ns = codec.sample_clock.field.scale() * static_cast<double>(kNanosecondsPerSecond);
-  const double span_ns = tick_ns * static_cast<double>(codec.sample_clock.field.largest_raw());
-  if (clock.type != ValueType::Unsigned || clock.offset != 0.0 || clock.bits > 62 || tick_ns < 1.0 ||
-      std::abs(tick_ns - std::round(tick_ns)) > 1e-6 * tick_ns ||
-      tick_ns > 0.1 * static_cast<double>(kPeriod_ns) || span_ns < 16.0 * static_cast<double>(kPeriod_ns)) {
-    return failure(
-        fmt::format("{} in {} must be an unsigned count of at most 62 bits without offset, its tick a whole "
-                    "number of nanoseconds up to 0.1 ms, and wrap after 16 ms at the earliest",
-                    mapping.sample_clock, database.file));
   }
-  codec.clock_tick_ns = std::llround(tick_ns);
 
-  // Builds the CRC's table now rather than in the first tick.
-  Frame warm_up = codec.command.blank();
-  codec.command.protect(warm_up, 0);
-  return codec;
+  /// The order of the frames is that of the names here.
+  Result<void> add_feedback() {
+    const ProtocolMapping& m = mapping_;
+    ProtocolCodec& c = codec_;
+    const Result<void> outcome =
+        feedback_field("force", m.force, kForceUnits, true, c.force)
+            .and_then(
+                [&] { return feedback_field("velocity", m.velocity, kVelocityUnits, true, c.velocity); })
+            .and_then([&] { return feedback_field("torque", m.torque, kTorqueUnits, true, c.torque); })
+            .and_then([&] { return feedback_field("position", m.position, kAngleUnits, false, c.position); })
+            .and_then([&] {
+              return feedback_field("sample clock", m.sample_clock, kTimeUnits, true, c.sample_clock);
+            })
+            .and_then([&] { return feedback_field("enabled", m.enabled, kFlagUnits, false, c.enabled); })
+            .and_then([&] { return feedback_field("watchdog", m.watchdog, kFlagUnits, false, c.watchdog); })
+            .and_then([&] { return feedback_field("fault", m.fault, kFlagUnits, false, c.fault); });
+    codec_.feedback_frames = messages_.size();
+    return outcome;
+  }
+
+  Result<void> add_clock_tick() {
+    const Signal& clock = *find(database_, "sample clock", mapping_.sample_clock)->signal;
+    const double tick_ns = codec_.sample_clock.field.scale() * static_cast<double>(kNanosecondsPerSecond);
+    const double span_ns = tick_ns * static_cast<double>(codec_.sample_clock.field.largest_raw());
+    if (clock.type != ValueType::Unsigned || clock.offset != 0.0 || clock.bits > 62 || tick_ns < 1.0 ||
+        std::abs(tick_ns - std::round(tick_ns)) > 1e-6 * tick_ns ||
+        tick_ns > 0.1 * static_cast<double>(kPeriod_ns) || span_ns < 16.0 * static_cast<double>(kPeriod_ns))
+      return failure(fmt::format(
+          "{} in {} must be an unsigned count of at most 62 bits without offset, its tick a whole "
+          "number of nanoseconds up to 0.1 ms, and wrap after 16 ms at the earliest",
+          mapping_.sample_clock, database_.file));
+    codec_.clock_tick_ns = std::llround(tick_ns);
+    return {};
+  }
+
+  const Database& database_;
+  const ProtocolMapping& mapping_;
+  ProtocolCodec codec_;
+  const Message* command_message_ = nullptr;
+  std::vector<const Message*> messages_;  ///< of the feedback
+};
+
+}  // namespace
+
+Result<ProtocolCodec> ProtocolCodec::build(const Database& database, const ProtocolMapping& mapping) {
+  return CodecBuilder(database, mapping).build();
 }
 
 std::vector<std::uint32_t> ProtocolCodec::feedback_ids() const {

@@ -137,91 +137,116 @@ double SimulatedBrake::force_before(double samples) const noexcept {
 
 void SimulatedBrake::step(double h) noexcept {
   const Effects& effects = configuration_.effects;
-  const ParameterVector& theta = configuration_.brake.theta;
-  const double inertia = configuration_.brake.fixed.inertia_kg_m2 * (1.0 + effects.inertia_error);
-  const double ratio = configuration_.brake.fixed.ratio_m_rad * (1.0 + effects.ratio_error);
-  const double drift = 1.0 + effects.friction_drift * static_cast<double>(run_);
   const double v = state_.velocity_rad_s;
-
-  // What moves the brake over the step is the mean.
-  double acting_Nm = state_.torque_Nm;
-  if (effects.torque_lag_s > 0.0) {
-    const double distance_Nm = state_.torque_Nm - torque_Nm_;
-    const double gone = -std::expm1(-h / effects.torque_lag_s);
-    acting_Nm = torque_Nm_ + distance_Nm * gone * effects.torque_lag_s / h;
-    state_.torque_Nm = torque_Nm_ + distance_Nm * (1.0 - gone);
-  }
+  const double acting_Nm = mean_torque(h);
 
   const double before_rad = state_.position_rad;
   state_.position_rad = before_rad + 0.5 * h * v;
-  if (effects.backlash_rad > 0.0)
-    state_.pad_position_rad =
-        std::clamp(state_.pad_position_rad, state_.position_rad, state_.position_rad + effects.backlash_rad);
-  else
-    state_.pad_position_rad = state_.position_rad;
+  carry_pads();
   const double force_N = pad_force(v);
-
+  const double ratio = configuration_.brake.fixed.ratio_m_rad * (1.0 + effects.ratio_error);
   double torque_Nm = acting_Nm - ratio * force_N;
   if (effects.cogging_Nm > 0.0)
     torque_Nm -= effects.cogging_Nm *
                  std::sin(kCoggingOrder * (state_.position_rad + configuration_.encoder_zero_rad));
-  const double viscous = theta[Tv] * drift + effects.quadratic_drag_Nm_s2_rad2 * std::abs(v);
-
-  double next = v;
-  if (effects.presliding_rad > 0.0) {
-    // Dahl's bristles in place of the set-valued sign: z' = v - |v| z / z_max, integrated exactly over the
-    // step.
-    const double level = friction_level(std::abs(v), force_N);
-    const double steady_rad = std::copysign(effects.presliding_rad, v);
-    state_.bristle_rad =
-        steady_rad + (state_.bristle_rad - steady_rad) * std::exp(-h * std::abs(v) / effects.presliding_rad);
-    const double friction_Nm = (level + effects.friction_asymmetry_Nm * std::copysign(1.0, v)) *
-                               state_.bristle_rad / effects.presliding_rad;
-    next = (v + h / inertia * (torque_Nm - friction_Nm)) / (1.0 + h / inertia * viscous);
-  } else {
-    const double bias_Nm = effects.friction_asymmetry_Nm;
-    double forward = 0.0, backward = 0.0, impulse = 0.0;
-    // Twice, so that the Stribeck level belongs to the midpoint: second order while sliding.
-    for (int pass = 0; pass < 2; ++pass) {
-      const double level = friction_level(0.5 * std::abs(v + next), force_N);
-      impulse = h / inertia * (torque_Nm - 0.5 * viscous * v);
-      forward = h / inertia * std::max(0.0, level + bias_Nm);
-      backward = h / inertia * std::max(0.0, level - bias_Nm);
-      const double free = v + impulse;
-      const double slip = free > forward ? free - forward : free < -backward ? free + backward : 0.0;
-      next = slip / (1.0 + 0.5 * h / inertia * viscous);
-    }
-    // The projection spends the whole step on stopping. What is left of it belongs to the other direction, if
-    // the torque overcomes the friction at rest: otherwise each reversal under load would come late by part
-    // of a step.
-    if (v != 0.0 && next * v <= 0.0) {
-      const double braking = v > 0.0 ? forward - impulse : backward + impulse;
-      const double left = std::clamp(1.0 - std::abs(v) / std::max(braking, 1e-300), 0.0, 1.0);
-      const double level = friction_level(0.0, force_N);
-      const double push_Nm = torque_Nm > 0.0 ? torque_Nm - std::max(0.0, level + bias_Nm)
-                                             : -torque_Nm - std::max(0.0, level - bias_Nm);
-      next = push_Nm > 0.0 ? std::copysign(push_Nm, torque_Nm) * left * h / inertia : 0.0;
-    }
-  }
+  const double next =
+      effects.presliding_rad > 0.0 ? slide_on_bristles(h, torque_Nm, force_N) : slide(h, torque_Nm, force_N);
   state_.position_rad += 0.5 * h * next;
   state_.velocity_rad_s = next;
-
   if (state_.position_rad < -configuration_.open_stop_rad ||
       state_.position_rad > configuration_.closed_stop_rad) {
     state_.position_rad =
         std::clamp(state_.position_rad, -configuration_.open_stop_rad, configuration_.closed_stop_rad);
     state_.velocity_rad_s = 0.0;
   }
+  press(h, before_rad);
+  if (effects.velocity_lag_s > 0.0)
+    state_.filtered_velocity_rad_s =
+        lagged(state_.filtered_velocity_rad_s, v, state_.velocity_rad_s, effects.velocity_lag_s, h);
+}
 
+/// What moves the brake over a step is the mean of a torque that lags.
+double SimulatedBrake::mean_torque(double h) noexcept {
+  const double lag_s = configuration_.effects.torque_lag_s;
+  if (!(lag_s > 0.0)) return state_.torque_Nm;
+  const double distance_Nm = state_.torque_Nm - torque_Nm_;
+  const double gone = -std::expm1(-h / lag_s);
+  const double acting_Nm = torque_Nm_ + distance_Nm * gone * lag_s / h;
+  state_.torque_Nm = torque_Nm_ + distance_Nm * (1.0 - gone);
+  return acting_Nm;
+}
+
+/// The motor takes the pads along, within the backlash.
+void SimulatedBrake::carry_pads() noexcept {
+  const double backlash_rad = configuration_.effects.backlash_rad;
+  state_.pad_position_rad = backlash_rad > 0.0 ? std::clamp(state_.pad_position_rad, state_.position_rad,
+                                                            state_.position_rad + backlash_rad)
+                                               : state_.position_rad;
+}
+
+double SimulatedBrake::viscous_Nm_s_rad(double v) const noexcept {
+  const double drift = 1.0 + configuration_.effects.friction_drift * static_cast<double>(run_);
+  return configuration_.brake.theta[Tv] * drift +
+         configuration_.effects.quadratic_drag_Nm_s2_rad2 * std::abs(v);
+}
+
+double SimulatedBrake::inertia_kg_m2() const noexcept {
+  return configuration_.brake.fixed.inertia_kg_m2 * (1.0 + configuration_.effects.inertia_error);
+}
+
+/// The next velocity with Dahl's bristles in place of the set-valued sign: z' = v - |v| z / z_max, integrated
+/// exactly over the step.
+double SimulatedBrake::slide_on_bristles(double h, double torque_Nm, double force_N) noexcept {
+  const Effects& effects = configuration_.effects;
+  const double v = state_.velocity_rad_s, inertia = inertia_kg_m2();
+  const double level = friction_level(std::abs(v), force_N);
+  const double steady_rad = std::copysign(effects.presliding_rad, v);
+  state_.bristle_rad =
+      steady_rad + (state_.bristle_rad - steady_rad) * std::exp(-h * std::abs(v) / effects.presliding_rad);
+  const double friction_Nm = (level + effects.friction_asymmetry_Nm * std::copysign(1.0, v)) *
+                             state_.bristle_rad / effects.presliding_rad;
+  return (v + h / inertia * (torque_Nm - friction_Nm)) / (1.0 + h / inertia * viscous_Nm_s_rad(v));
+}
+
+/// The next velocity with friction as a projection.
+double SimulatedBrake::slide(double h, double torque_Nm, double force_N) const noexcept {
+  const double v = state_.velocity_rad_s, inertia = inertia_kg_m2(), viscous = viscous_Nm_s_rad(v);
+  double next = v;
+  const double bias_Nm = configuration_.effects.friction_asymmetry_Nm;
+  double forward = 0.0, backward = 0.0, impulse = 0.0;
+  // Twice, so that the Stribeck level belongs to the midpoint: second order while sliding.
+  for (int pass = 0; pass < 2; ++pass) {
+    const double level = friction_level(0.5 * std::abs(v + next), force_N);
+    impulse = h / inertia * (torque_Nm - 0.5 * viscous * v);
+    forward = h / inertia * std::max(0.0, level + bias_Nm);
+    backward = h / inertia * std::max(0.0, level - bias_Nm);
+    const double free = v + impulse;
+    const double slip = free > forward ? free - forward : free < -backward ? free + backward : 0.0;
+    next = slip / (1.0 + 0.5 * h / inertia * viscous);
+  }
+  // The projection spends the whole step on stopping. What is left of it belongs to the other direction, if
+  // the torque overcomes the friction at rest: otherwise each reversal under load would come late by part
+  // of a step.
+  if (v != 0.0 && next * v <= 0.0) {
+    const double braking = v > 0.0 ? forward - impulse : backward + impulse;
+    const double left = std::clamp(1.0 - std::abs(v) / std::max(braking, 1e-300), 0.0, 1.0);
+    const double level = friction_level(0.0, force_N);
+    const double push_Nm = torque_Nm > 0.0 ? torque_Nm - std::max(0.0, level + bias_Nm)
+                                           : -torque_Nm - std::max(0.0, level - bias_Nm);
+    next = push_Nm > 0.0 ? std::copysign(push_Nm, torque_Nm) * left * h / inertia : 0.0;
+  }
+  return next;
+}
+
+/// Hysteresis, relaxation and force of the pads after the motion of a step.
+void SimulatedBrake::press(double h, double before_rad) noexcept {
+  const Effects& effects = configuration_.effects;
+  const ParameterVector& theta = configuration_.brake.theta;
   const double travel_rad = state_.position_rad - before_rad;
   state_.hysteresis =
       std::copysign(1.0, travel_rad) + (state_.hysteresis - std::copysign(1.0, travel_rad)) *
                                            std::exp(-std::abs(travel_rad) / kHysteresisTravel_rad);
-  if (effects.backlash_rad > 0.0)
-    state_.pad_position_rad =
-        std::clamp(state_.pad_position_rad, state_.position_rad, state_.position_rad + effects.backlash_rad);
-  else
-    state_.pad_position_rad = state_.position_rad;
+  carry_pads();
   if (effects.pad_relaxation > 0.0) {
     const double x = std::max(0.0, state_.pad_position_rad);
     const double elastic_N = (theta[k1] * x + theta[k2]) * x * x;
@@ -232,9 +257,6 @@ void SimulatedBrake::step(double h) noexcept {
   if (effects.force_lag_s > 0.0)
     state_.filtered_force_N =
         lagged(state_.filtered_force_N, force_before_N, state_.force_N, effects.force_lag_s, h);
-  if (effects.velocity_lag_s > 0.0)
-    state_.filtered_velocity_rad_s =
-        lagged(state_.filtered_velocity_rad_s, v, state_.velocity_rad_s, effects.velocity_lag_s, h);
 }
 
 double SimulatedBrake::pad_force(double velocity_rad_s) const noexcept {

@@ -69,6 +69,13 @@ class SimulatedBrake {
   BrakeFeedback read() noexcept;
   void advance() noexcept;
   void step(double h) noexcept;
+  double mean_torque(double h) noexcept;
+  void carry_pads() noexcept;
+  double viscous_Nm_s_rad(double v) const noexcept;
+  double inertia_kg_m2() const noexcept;
+  double slide_on_bristles(double h, double torque_Nm, double force_N) noexcept;
+  double slide(double h, double torque_Nm, double force_N) const noexcept;
+  void press(double h, double before_rad) noexcept;
   double pad_force(double velocity_rad_s) const noexcept;
   double friction_level(double speed_rad_s, double force_N) const noexcept;
   double gaussian(double sd) noexcept;

@@ -286,6 +286,50 @@ void CheckSession::count_misfit(const Estimate& joint, CheckRecord& record, Para
   if (record.systematic->marked) sd = (sd.cwiseAbs2() + by_misfit.cwiseAbs2()).cwiseSqrt();
 }
 
+/// What a verdict depends on. Takes the texts of `outcome`; what the estimate says of the record goes there.
+CheckFacts CheckSession::facts_of(CheckOutcome& outcome, const Estimate& joint, CheckRecord& record) const {
+  CheckFacts facts;
+  facts.fault = outcome.fault;
+  facts.fault_verdict = outcome.fault_verdict;
+  facts.fault_text = std::move(outcome.fault_text);
+  facts.refusal = std::move(outcome.refusal);
+  facts.problem = collector_.problem();
+  if (facts.problem.empty() && !record.runs.empty() && collector_.tare().samples == 0)
+    facts.problem = "the sensors were not tared";
+  facts.repeats_planned = repeats_;
+  facts.repeats_recorded = static_cast<std::uint32_t>(record.runs.size());
+  facts.ticks_skipped = record.timing.skipped;
+  facts.samples_lost = record.timing.lost_samples;
+  facts.tracking_rms_N = record.tracking_rms_N;
+  facts.estimate_text = joint.message;
+  facts.estimated = !record.runs.empty() && joint.converged();
+  facts.unexplained = joint.termination == Termination::Unexplained;
+  if (facts.estimated && is_by_output_errors() && joint.method == Method::PredictionError)
+    facts.other_method = fmt::format("No parameters could be identified as configured: {}: {}.",
+                                     joint.message, kUsePredictionErrors);
+  if (facts.estimated) {
+    facts.estimate = joint.parameters.theta;
+    facts.sd = sd_with_tare(joint, collector_.tare());
+    count_misfit(joint, record, facts.sd);
+    const ExpectedResidual expected = expected_residual(collector_.tare(), record.runs, configuration_.model,
+                                                        configuration_.validity.torque_noise_Nm);
+    facts.effects = with_tare_sd(joint.effects, collector_.tare());
+    facts.misfit_force = ratio(joint.force_rms_N, expected.force_N);
+    facts.misfit_velocity = ratio(joint.velocity_rms_rad_s, expected.velocity_rad_s);
+    for (int row = 0; row < joint.covariance_normalised.rows(); ++row)
+      for (int column = 0; column < joint.covariance_normalised.cols(); ++column)
+        record.covariance_normalised.push_back(joint.covariance_normalised(row, column));
+    record.noise_torque_Nm = joint.noise_torque_Nm;
+    record.noise_force_N = joint.noise_force_N;
+    record.noise_velocity_rad_s = joint.noise_velocity_rad_s;
+  }
+  return facts;
+}
+
+bool CheckSession::is_by_output_errors() const {
+  return configuration_.check.method == Method::OutputError && configuration_.check.model.empty();
+}
+
 CheckRecord CheckSession::finish(CheckOutcome outcome) {
   IdentificationWorker::Outcome identified = worker_.finish();
   const Estimate& joint = identified.joint;
@@ -313,55 +357,18 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
     record.tare_velocity_sd_rad_s = tare_sd[1];
   }
 
-  CheckFacts facts;
-  facts.fault = outcome.fault;
-  facts.fault_verdict = outcome.fault_verdict;
-  facts.fault_text = std::move(outcome.fault_text);
-  facts.refusal = std::move(outcome.refusal);
-  facts.problem = collector_.problem();
-  if (facts.problem.empty() && !record.runs.empty() && collector_.tare().samples == 0)
-    facts.problem = "the sensors were not tared";
-  facts.repeats_planned = repeats_;
-  facts.repeats_recorded = static_cast<std::uint32_t>(record.runs.size());
-  facts.ticks_skipped = record.timing.skipped;
-  facts.samples_lost = record.timing.lost_samples;
-  facts.tracking_rms_N = record.tracking_rms_N;
-  facts.estimate_text = joint.message;
-  facts.estimated = !record.runs.empty() && joint.converged();
-  facts.unexplained = joint.termination == Termination::Unexplained;
-  const bool by_output_errors =
-      configuration_.check.method == Method::OutputError && configuration_.check.model.empty();
-  if (facts.estimated && by_output_errors && joint.method == Method::PredictionError)
-    facts.other_method = fmt::format("No parameters could be identified as configured: {}: {}.",
-                                     joint.message, kUsePredictionErrors);
-  if (facts.estimated) {
-    facts.estimate = joint.parameters.theta;
-    facts.sd = sd_with_tare(joint, collector_.tare());
-    count_misfit(joint, record, facts.sd);
-    const ExpectedResidual expected = expected_residual(collector_.tare(), record.runs, configuration_.model,
-                                                        configuration_.validity.torque_noise_Nm);
-    facts.effects = with_tare_sd(joint.effects, collector_.tare());
-    facts.misfit_force = ratio(joint.force_rms_N, expected.force_N);
-    facts.misfit_velocity = ratio(joint.velocity_rms_rad_s, expected.velocity_rad_s);
-    for (int row = 0; row < joint.covariance_normalised.rows(); ++row)
-      for (int column = 0; column < joint.covariance_normalised.cols(); ++column)
-        record.covariance_normalised.push_back(joint.covariance_normalised(row, column));
-    record.noise_torque_Nm = joint.noise_torque_Nm;
-    record.noise_force_N = joint.noise_force_N;
-    record.noise_velocity_rad_s = joint.noise_velocity_rad_s;
-  }
-
+  const CheckFacts facts = facts_of(outcome, joint, record);
   Judgement judgement = judge(facts, limits_, configuration_.validity);
   record.verdict = judgement.verdict;
   record.marginal = judgement.marginal;
   record.reason = std::move(judgement.reason);
   record.parameters = std::move(judgement.parameters);
-  if (judgement.undecided && by_output_errors) record.reason += advice_on_method(record, facts.sd);
+  if (judgement.undecided && is_by_output_errors()) record.reason += advice_on_method(record, facts.sd);
   if (record.systematic && record.systematic->marked && is_about_the_brake(record.verdict))
     record.reason += fmt::format(
         " Note: the model does not explain all of this brake's motion (systematic residual {:.2g} times the "
-        "noise "
-        "of one repeat); the uncertainties count it. `clampctl results {} --runs DIR` writes its runs for "
+        "noise of one repeat); the uncertainties count it. `clampctl results {} --runs DIR` writes its runs "
+        "for "
         "`clampctl diagnose`.",
         record.systematic->over_noise, record.id);
   if (!configuration_.check.diagnose) return record;

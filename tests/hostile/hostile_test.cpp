@@ -139,7 +139,7 @@ TEST_F(Hostile, ThousandsOfGeneratedRequests) {
     return static_cast<std::size_t>(random() % std::max<std::size_t>(count, 1));
   };
   const char* asked = std::getenv("CLAMPD_HOSTILE_REQUESTS");
-  const int requests = asked == nullptr ? 3000 : std::atoi(asked);
+  const int requests = asked == nullptr ? 10'000 : std::atoi(asked);
   for (int i = 0; i < requests; ++i) {
     std::string request = seeds[below(seeds.size())];
     for (std::size_t spoiled = below(6); spoiled > 0; --spoiled) {

@@ -16,6 +16,7 @@
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"
 #include "clampd/station/run_collector.hpp"
+#include "clampd/station/verdict.hpp"
 #include "clampd/station/worker.hpp"
 
 namespace clampd {
@@ -105,6 +106,8 @@ class CheckSession {
   void question_failure(CheckRecord& record);
   std::string advice_on_method(const CheckRecord& record, const ParameterVector& sd) const;
   void count_misfit(const Estimate& joint, CheckRecord& record, ParameterVector& sd) const;
+  CheckFacts facts_of(CheckOutcome& outcome, const Estimate& joint, CheckRecord& record) const;
+  bool is_by_output_errors() const;
 
   StationConfiguration configuration_;
   LimitSet limits_;
