@@ -409,10 +409,10 @@ Run response_to(const std::vector<double>& block_torque_Nm, std::size_t block_sa
   return run;
 }
 
-RobustSummary design_robust_experiment(const RobustOptions& options) {
-  CLAMPD_ASSERT(options.validate());
-  const auto begin = std::chrono::steady_clock::now();
-  RobustSummary summary;
+namespace {
+
+/// Searches from cautious starts, then from variations of the best, then polishes two. The best first.
+std::vector<Candidate> search_experiments(const RobustOptions& options, RobustSummary& summary) {
   const int threads = threads_or_all(options.threads);
   const std::vector<BrakeParameters> brakes =
       draw_prior(options.nominal, options.search_brakes, options.seed);
@@ -459,47 +459,61 @@ RobustSummary design_robust_experiment(const RobustOptions& options) {
     return polished.objective < rough[i].objective ? polished : rough[i];
   });
   for (const RobustProblem& problem : problems) summary.evaluations += problem.evaluations();
+  return elite;
+}
 
-  // Judged by brakes that the search did not see.
+/// Takes the best candidate that keeps the limits for brakes that the search did not see.
+void take_first_that_holds(const RobustOptions& options, std::span<const Candidate> candidates,
+                           std::span<const BrakeParameters> others, RobustSummary& summary) {
+  summary.message =
+      "of the designs found none keeps the limits for the brakes that verify it; try more "
+      "brakes for the search";
+  for (const Candidate& candidate : candidates) {
+    std::vector<double> block_torque_Nm = candidate.x;
+    for (double& torque : block_torque_Nm) torque *= options.limits.torque_Nm;
+    Run trajectory = response_to(block_torque_Nm, options.block_samples, options.nominal);
+    Result<RobustEvaluation> evaluation =
+        evaluate_robust(trajectory, options.nominal, others, options.noise, options.limits.torque_Nm);
+    if (!evaluation || !std::isfinite(evaluation->expected_logdet) ||
+        evaluation->force_max_N > options.limits.force_N ||
+        evaluation->velocity_max_rad_s > options.limits.velocity_rad_s)
+      continue;
+    summary.found = true;
+    summary.message =
+        fmt::format("keeps the limits for {} brakes that the search did not see", others.size());
+    summary.block_torque_Nm = std::move(block_torque_Nm);
+    summary.trajectory = std::move(trajectory);
+    summary.evaluation = std::move(*evaluation);
+    summary.gain = gain_over(summary.step_evaluation, summary.evaluation);
+    DesignOptions design;
+    design.brake = options.nominal;
+    design.samples = options.samples;
+    design.block_samples = options.block_samples;
+    design.noise = options.noise.sensors;
+    summary.nominal = evaluate_design(design, summary.block_torque_Nm);
+    return;
+  }
+}
+
+}  // namespace
+
+RobustSummary design_robust_experiment(const RobustOptions& options) {
+  CLAMPD_ASSERT(options.validate());
+  const auto begin = std::chrono::steady_clock::now();
+  RobustSummary summary;
+  const std::vector<Candidate> found = search_experiments(options, summary);
   const std::vector<BrakeParameters> others =
       draw_prior(options.nominal, options.verify_brakes, ~options.seed);
   const Result<PlainStep> step = best_step(options, others);
   if (!step) {
     summary.message = step.error().message;
-  } else if (elite.empty()) {
+  } else if (found.empty()) {
     summary.message = "no start found an experiment that keeps the limits for all brakes of the prior";
   } else {
     summary.step = *step;
     summary.step_evaluation =
         *evaluate_robust(step->trajectory, options.nominal, others, options.noise, options.limits.torque_Nm);
-    summary.message =
-        "of the designs found none keeps the limits for the brakes that verify it; try more "
-        "brakes for the search";
-    for (const Candidate& candidate : elite) {
-      std::vector<double> block_torque_Nm = candidate.x;
-      for (double& torque : block_torque_Nm) torque *= options.limits.torque_Nm;
-      Run trajectory = response_to(block_torque_Nm, options.block_samples, options.nominal);
-      Result<RobustEvaluation> evaluation =
-          evaluate_robust(trajectory, options.nominal, others, options.noise, options.limits.torque_Nm);
-      if (!evaluation || !std::isfinite(evaluation->expected_logdet) ||
-          evaluation->force_max_N > options.limits.force_N ||
-          evaluation->velocity_max_rad_s > options.limits.velocity_rad_s)
-        continue;
-      summary.found = true;
-      summary.message =
-          fmt::format("keeps the limits for {} brakes that the search did not see", others.size());
-      summary.block_torque_Nm = std::move(block_torque_Nm);
-      summary.trajectory = std::move(trajectory);
-      summary.evaluation = std::move(*evaluation);
-      summary.gain = gain_over(summary.step_evaluation, summary.evaluation);
-      DesignOptions design;
-      design.brake = options.nominal;
-      design.samples = options.samples;
-      design.block_samples = options.block_samples;
-      design.noise = options.noise.sensors;
-      summary.nominal = evaluate_design(design, summary.block_torque_Nm);
-      break;
-    }
+    take_first_that_holds(options, found, others, summary);
   }
   if (options.progress && summary.found) options.progress(1.0, summary.evaluation.expected_logdet);
   summary.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();

@@ -143,6 +143,17 @@ void read_gpio(TableReader& reader, const toml::table& table, const std::string&
   }
 }
 
+void read_station(TableReader& reader, StationConfiguration& configuration, std::optional<bool>& simulated) {
+  reader.text("name", configuration.name);
+  reader.text("fixture", configuration.fixture);
+  reader.text("part_number", configuration.part_number);
+  reader.text("batch", configuration.batch);
+  reader.text("operator", configuration.operator_name);
+  bool value = false;
+  reader.boolean("simulated_brake", value);
+  if (reader.has("simulated_brake")) simulated = value;
+}
+
 void read_realtime(TableReader& reader, RealtimeSettings& realtime) {
   reader.integer("priority", realtime.priority, 0, 98);  // 99 belongs to the kernel's own threads
   reader.integer("cpu", realtime.cpu, -1, 1023);
@@ -357,16 +368,8 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
     read_section(document, key, path, error, read);
   };
 
-  section("station", [&](TableReader& reader, const toml::table&) {
-    reader.text("name", configuration.name);
-    reader.text("fixture", configuration.fixture);
-    reader.text("part_number", configuration.part_number);
-    reader.text("batch", configuration.batch);
-    reader.text("operator", configuration.operator_name);
-    bool value = false;
-    reader.boolean("simulated_brake", value);
-    if (reader.has("simulated_brake")) simulated = value;
-  });
+  section("station",
+          [&](TableReader& reader, const toml::table&) { read_station(reader, configuration, simulated); });
   read_instruments(document, path, error, configuration.instruments);
   section("simulation", [&](TableReader& reader, const toml::table&) {
     reader.path("brake", configuration.plant_file, folder);
