@@ -1,4 +1,5 @@
 # Shared by the scenarios; sourced by busybox sh in the guest.
+[ ! -e ./environment ] || . ./environment
 
 # This shell prefers its own commands to those in /bin, and its own ip knows no CAN.
 ip() { /bin/ip "$@"; }
