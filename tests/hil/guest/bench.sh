@@ -30,10 +30,11 @@ bring_up() {
   esac
 }
 
-# start_brake TRACE [FAULT-KIND AT_S DURATION_S]; brake_tables: further tables of its configuration
+# start_brake TRACE [FAULT-KIND AT_S DURATION_S]; brake_tables: further tables of its configuration; brake_seed: of its noise
 start_brake() {
   trace=$1
   cp plant.toml /tmp/plant.toml
+  if [ -n "${brake_seed:-}" ]; then sed -i "s/^seed = .*/seed = $brake_seed/" /tmp/plant.toml; fi
   if [ $# -gt 1 ]; then
     printf '\n[[fault]]\nkind = "%s"\nat_s = %s\nduration_s = %s\n' "$2" "$3" "$4" >>/tmp/plant.toml
   fi

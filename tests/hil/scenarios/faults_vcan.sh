@@ -20,7 +20,4 @@ fault "bus-off frame" 'cause frame vcan0 20000040#0000000000000000' true
 scripted_fault corrupt-crc
 scripted_fault frozen-counter
 scripted_fault impossible-values
-spoiled_reading encoder frozen reading
-spoiled_reading velocity negated velocity
-spoiled_reading force silent force
 station_killed
