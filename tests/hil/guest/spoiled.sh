@@ -244,7 +244,6 @@ spoiled_campaign() {
   force_most=$(awk -v limit="$(supervisor_limit over_force_N)" 'BEGIN { print 1.1 * limit }')
   above "$speed_most" 0 && above "$force_most" 0 || fail "no limits in configs/station.toml"
   fault_repeats=$spoiled_repeats
-  check_timeout_s=600 # what no fault ended may have its cause sought, which takes minutes here
   : >$results
   stop_brake
   number=0

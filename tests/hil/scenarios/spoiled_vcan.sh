@@ -9,9 +9,11 @@
 . ./faults.sh
 . ./spoiled.sh
 use_vcan
-# Short, but twice as long as the station needs to learn the readings' noise.
+# Short, but twice as long as the station needs to learn the readings' noise. What no fault ends is judged by its estimate: the
+# search for its cause takes minutes on an emulated processor.
 station_tables='[check]
-tare_s = 0.1'
+tare_s = 0.1
+diagnose = false'
 start_brake /tmp/trace.csv
 start_station
 wait_for_idle
@@ -22,7 +24,7 @@ spoiled_reading velocity negated velocity
 spoiled_reading force silent force
 
 measure_check
-spoiled_campaign "${CLAMPD_SPOILED_READINGS:-10}"
+spoiled_campaign "${CLAMPD_SPOILED_READINGS:-6}"
 
 start_brake /tmp/trace.csv
 wait_until 10 "the fault can be cleared" clearable
