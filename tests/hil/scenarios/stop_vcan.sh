@@ -1,0 +1,90 @@
+# A stop is acknowledged and the torque at zero within 50 ms, whatever else the station has to do: 100,000 checks on record,
+# 1,000 clients that are silent, slow or greedy, and a disk that takes nothing for 30 s.
+#
+# qemu: -m 2048
+# module: loop
+# module: ext4
+. ./common.sh
+. ./bench.sh
+. ./faults.sh
+use_vcan
+readonly stop_ms=50
+readonly port=8371
+mkdir /disk
+losetup /dev/loop0 records.ext4 && mount -t ext4 /dev/loop0 /disk || fail "no disk of its own"
+database=/disk/checks.sqlite
+station_tables='[check]
+tare_s = 0.1
+diagnose = false'
+start_brake /tmp/trace.csv
+start_station
+wait_for_idle
+check healthy 2
+expect_pass healthy
+
+# clamp NAME: a check of 20 repeats, until its brake is clamped.
+clamp() {
+  begin_fault "$1"
+  wait_until 30 "the brake is clamped" clamped
+}
+
+# stop_it: from the moment of asking to the answer, to the station's last command for torque and to the end of the torque.
+stop_it() {
+  http_clients $port stop >/tmp/stop || fail "$name: $(cat /tmp/stop)"
+  read -r asked_s asked_realtime_s answered_s </tmp/stop
+  sleep 0.2 # whatever still moves the brake shows in its trace
+  stop_recording
+  at_most "$name: acknowledged, ms" "$(awk -v from="$asked_s" -v to="$answered_s" 'BEGIN { print (to - from) * 1000 }')" $stop_ms
+  command_after /tmp/commands.log "$asked_realtime_s" >/tmp/command_after
+  read -r after_ms driven_before </tmp/command_after
+  [ "$driven_before" = 1 ] || fail "$name: no torque was asked for when the stop came; this proves nothing"
+  at_most "$name: the station's last command for torque, ms" "$after_ms" $stop_ms
+  expect_zero_torque "$asked_s" $stop_ms
+}
+
+expect_aborted() {
+  code=0
+  wait $check_pid || code=$?
+  verdict=$(json_get "/tmp/$id.json" /verdict)
+  [ "$verdict" = ABORTED ] || fail "$name: verdict '$verdict', exit code $code: $(cat "/tmp/$id.out")"
+  record=$(json_get "/tmp/$id.json" /record)
+  clampctl --config /tmp/station.toml results --json >/tmp/results.json 2>/tmp/results.err || fail "results: $(cat /tmp/results.err)"
+  [ "$(json_get /tmp/results.json /checks/0/record)" = "$record" ] || fail "$name: its record is not the newest"
+  echo "ok: $name: ABORTED, and on record"
+}
+
+again() {
+  wait_until 10 "the fault can be cleared" clearable
+  clear_fault
+}
+
+clamp "alone"
+stop_it
+expect_aborted
+again
+
+http_clients $port crowd 1000 >/tmp/crowd.log 2>&1 &
+crowd_pid=$!
+wait_until 60 "a thousand clients" grep -q ready /tmp/crowd.log
+for round in 1 2 3; do
+  clamp "among a thousand clients, $round"
+  stop_it
+  expect_aborted
+  again
+done
+
+clamp "while the disk stalls"
+stalled_s=$(cut -d' ' -f1 /proc/uptime)
+fsfreeze --freeze /disk || fail "the disk cannot be frozen"
+stop_it
+wait_until 10 "the fault can be cleared" clearable
+echo "ok: the status is answered while the disk stalls"
+wait_until 31 "30 s have passed" later_than "$stalled_s" 30
+fsfreeze --unfreeze /disk || fail "the disk stays frozen"
+expect_aborted
+again
+kill -0 $crowd_pid || fail "the clients are gone: $(cat /tmp/crowd.log)"
+kill $crowd_pid
+wait_until 10 "the station is at rest" wait_for_idle
+check last 2
+expect_pass last
