@@ -30,7 +30,7 @@ constexpr double kLearnFactor = 5.0;  // times contact_force_N: how far the appr
 constexpr double kMoveSpeed_rad_s = 220.0;
 constexpr double kArrived_rad = 0.03;
 constexpr double kDisplaced_rad = 0.3;  // while settling: go back
-constexpr int kMaximumGap = 50;         // samples over which a prediction makes sense
+constexpr int kMaxGap = 50;             // samples over which a prediction makes sense
 
 }  // namespace
 
@@ -104,7 +104,7 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
     // The observer stands at the sample after the last one; a gap is bridged with the torque that acted
     // before it.
     const std::int64_t gap = feedback.sample_index - index_ - 1;
-    if (gap > kMaximumGap)
+    if (gap > kMaxGap)
       observer_.reset({.position_rad = feedback.position_rad});
     else if (gap > 0)
       observer_.predict(plan_->drive, last_.torque_Nm, force_N_, static_cast<int>(gap));

@@ -41,7 +41,7 @@ constexpr int kBridgedGap = 3;         // samples that may be missing
 constexpr int kLearnSamples = 50;  // at rest, before noise counts as known
 constexpr int kNoisyRow = 8;       // a longer row of equal readings at rest: too little noise to judge by
 constexpr int kRepeatFactor = 5, kRepeatMargin = 5;
-constexpr int kMostRepeats = 1'000'000;
+constexpr int kMaxRepeats = 1'000'000;
 
 /// Of five, so that two outliers beside each other are none.
 double median_of(std::array<double, 5> values) noexcept {
@@ -59,13 +59,13 @@ void push(std::array<double, n>& history, double value) noexcept {
 
 bool RepeatWatch::repeats_too_often(double reading, bool learn) noexcept {
   const bool same = has_last_ && reading == last_;
-  repeats_ = same ? std::min(repeats_ + 1, kMostRepeats) : 0;
+  repeats_ = same ? std::min(repeats_ + 1, kMaxRepeats) : 0;
   last_ = reading;
   has_last_ = true;
   const bool known = learned_ >= kLearnSamples && longest_ <= kNoisyRow;
   if (known && repeats_ > kRepeatFactor * std::max(longest_, 1) + kRepeatMargin) return true;
   if (learn) {
-    learned_ = std::min(learned_ + 1, kMostRepeats);
+    learned_ = std::min(learned_ + 1, kMaxRepeats);
     longest_ = std::max(longest_, repeats_);
   }
   return false;

@@ -67,9 +67,9 @@ struct SupervisorSettings {
 /// for months, and would overflow 32 bits after 24.9 days.
 class GoodRow {
  public:
-  static constexpr int kMost = 1'000'000;
+  static constexpr int kMax = 1'000'000;
   CLAMPD_REALTIME void add() noexcept {
-    if (count_ < kMost) ++count_;
+    if (count_ < kMax) ++count_;
   }
   CLAMPD_REALTIME void restart() noexcept { count_ = 0; }
   CLAMPD_REALTIME int count() const noexcept { return count_; }

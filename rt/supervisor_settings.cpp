@@ -27,8 +27,8 @@ Result<void> SupervisorSettings::validate() const {
     bool valid;
   } checks[] = {
       {"startup_timeout_ns", startup_timeout_ns > 0},
-      {"good_samples_to_idle", good_samples_to_idle > 0 && good_samples_to_idle <= GoodRow::kMost},
-      {"good_samples_to_run", good_samples_to_run > 0 && good_samples_to_run <= GoodRow::kMost},
+      {"good_samples_to_idle", good_samples_to_idle > 0 && good_samples_to_idle <= GoodRow::kMax},
+      {"good_samples_to_run", good_samples_to_run > 0 && good_samples_to_run <= GoodRow::kMax},
       {"armed_timeout_ns", armed_timeout_ns > 0},
       {"stale_ns (more than one period)", stale_ns > kPeriod_ns},
       {"event_window_ns", event_window_ns > 0},

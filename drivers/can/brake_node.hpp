@@ -47,7 +47,7 @@ class BrakeNode {
     }
     BrakeFeedback reading = brake_.sample();
     reading.brake_fault = reading.brake_fault || inhibited_;
-    std::array<Frame, kMaximumFeedbackFrames> frames;
+    std::array<Frame, kMaxFeedbackFrames> frames;
     const std::size_t count = protocol_.feedback(reading, frames, fault);
     for (std::size_t i = 0; i < count; ++i) bus_.send(frames[i], now_ns);
     return reading;

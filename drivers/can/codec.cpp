@@ -324,9 +324,8 @@ class CodecBuilder {
     if (!factor) return failure(factor.error().message);
     auto found = std::find(messages_.begin(), messages_.end(), place->message);
     if (found == messages_.end()) {
-      if (messages_.size() == kMaximumFeedbackFrames)
-        return failure(
-            fmt::format("the feedback is spread over more than {} messages", kMaximumFeedbackFrames));
+      if (messages_.size() == kMaxFeedbackFrames)
+        return failure(fmt::format("the feedback is spread over more than {} messages", kMaxFeedbackFrames));
       const auto layout = frame_layout(database_, *place->message, mapping_);
       if (!layout) return failure(layout.error().message);
       codec_.feedback[messages_.size()] = *layout;

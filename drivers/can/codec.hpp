@@ -35,7 +35,7 @@ struct ProtocolMapping {
   std::string crc = "Crc";
 };
 
-inline constexpr std::size_t kMaximumFeedbackFrames = 4;
+inline constexpr std::size_t kMaxFeedbackFrames = 4;
 
 /// One signal of a classic frame, resolved to a shift and a mask over the frame's 64 bits, in SI units.
 class Field {
@@ -104,7 +104,7 @@ struct ProtocolCodec {
   Field torque_command;
   Field enable;
 
-  std::array<FrameLayout, kMaximumFeedbackFrames> feedback;
+  std::array<FrameLayout, kMaxFeedbackFrames> feedback;
   std::size_t feedback_frames = 0;
   FeedbackField force;
   FeedbackField velocity;

@@ -19,7 +19,7 @@ namespace {
 
 /// Vector's pseudo message that holds signals without a frame.
 constexpr std::uint32_t kIndependentSignals = 0xC000'0000U;
-constexpr std::size_t kMaximumFrameBytes = 64;
+constexpr std::size_t kMaxFrameBytes = 64;
 
 struct Token {
   enum class Kind : std::uint8_t { Word, Number, Text, Mark, End };
@@ -411,7 +411,7 @@ class Parser {
     }
     message.name = word("a message name").text;
     expect(':');
-    message.size_bytes = integer<std::size_t>("the frame's size in bytes", 0, kMaximumFrameBytes);
+    message.size_bytes = integer<std::size_t>("the frame's size in bytes", 0, kMaxFrameBytes);
     message.sender = word("the sending node").text;
     if (database_.find_message(std::string_view{message.name}) != nullptr) {
       message.defects.push_back(fmt::format("{}: there is another message {}", at(id_token), message.name));
@@ -433,7 +433,7 @@ class Parser {
     signal.name = note.token.text;
     if (peek().kind == Token::Kind::Word) multiplex_mark(take(), signal, note);
     expect(':');
-    signal.start_bit = integer<std::size_t>("the start bit", 0, 8 * kMaximumFrameBytes - 1);
+    signal.start_bit = integer<std::size_t>("the start bit", 0, 8 * kMaxFrameBytes - 1);
     expect('|');
     signal.bits = integer<std::size_t>("the number of bits", 1, 64);
     expect('@');

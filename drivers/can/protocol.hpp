@@ -69,9 +69,9 @@ class StationProtocol {
   ProtocolCodec codec_;
   ProtocolCounts counts_;
   std::uint8_t command_counter_ = 0;
-  std::array<AliveCheck, kMaximumFeedbackFrames> alive_;
+  std::array<AliveCheck, kMaxFeedbackFrames> alive_;
 
-  std::array<Frame, kMaximumFeedbackFrames> parts_;
+  std::array<Frame, kMaxFeedbackFrames> parts_;
   unsigned received_parts_ = 0;  ///< bit i: parts_[i] belongs to the sample of parts_counter_
   std::uint8_t parts_counter_ = 0;
 
@@ -93,7 +93,7 @@ class BrakeProtocol {
   /// Takes one received frame; the command in it, if it is one and passes CRC, counter and range.
   CLAMPD_REALTIME std::optional<TorqueCommand> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
 
-  /// Encodes one sample into `out` (room for kMaximumFeedbackFrames) and returns the number of frames. Of
+  /// Encodes one sample into `out` (room for kMaxFeedbackFrames) and returns the number of frames. Of
   /// `reading`, the index and arrival time are not sent.
   CLAMPD_REALTIME std::size_t feedback(const BrakeFeedback& reading, std::span<Frame> out,
                                        WireFault fault = WireFault::None) noexcept;

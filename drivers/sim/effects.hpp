@@ -42,7 +42,7 @@ inline constexpr double kHysteresisTravel_rad = 0.5;  ///< travel that turns the
 inline constexpr double kRelaxationTime_s = 0.15;     ///< how fast a relaxing pad gives way
 inline constexpr double kHumFrequency_Hz = 50.0;
 inline constexpr double kOutlierForce_N = 2000.0;  ///< height of a spike; its sign is random
-inline constexpr double kMaximumSkew_samples = 16.0;
+inline constexpr double kMaxSkew_samples = 16.0;
 
 struct EffectInfo {
   std::string_view name;  ///< as in `clampctl simulate --effect NAME=VALUE`
@@ -91,7 +91,7 @@ inline constexpr std::array<EffectInfo, 23> kEffectTable{{
     {"force-hum", "N", "amplitude of 50 Hz on the force reading", &Effects::force_hum_N, 0.0, 5000.0},
     {"velocity-lag", "s", "time constant of the velocity filter", &Effects::velocity_lag_s, 0.0, 0.05},
     {"channel-skew", "samples", "how late the force reading is; fractions of a sample too",
-     &Effects::channel_skew, 0.0, kMaximumSkew_samples},
+     &Effects::channel_skew, 0.0, kMaxSkew_samples},
     {"outliers", "1", "share of force readings with a spike of 2 kN", &Effects::outliers, 0.0, 0.2},
 }};
 

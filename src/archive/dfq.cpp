@@ -12,12 +12,12 @@
 namespace clampd {
 namespace {
 
-constexpr std::size_t kLongestText = 255;
+constexpr std::size_t kMaxText = 255;
 
 /// One line's text: ISO 8859-1, no line breaks or control characters (some separate values in this format).
 std::string field_text(const std::string& utf8) {
   std::string text;
-  for (std::size_t i = 0; i < utf8.size() && text.size() < kLongestText; ++i) {
+  for (std::size_t i = 0; i < utf8.size() && text.size() < kMaxText; ++i) {
     const auto byte = static_cast<unsigned char>(utf8[i]);
     if (byte < 0x80) {
       text += byte < 0x20 || byte == 0x7f ? ' ' : utf8[i];
@@ -52,7 +52,7 @@ class Lines {
 
 /// Whether a line takes it whole.
 bool fits(const std::string& text) {
-  return field_text(text).size() < kLongestText;
+  return field_text(text).size() < kMaxText;
 }
 
 /// 2026-11-20T23:41:07.123Z as 20.11.2026/23:41:07

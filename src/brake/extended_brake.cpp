@@ -64,8 +64,8 @@ ExtendedBrake::ExtendedBrake(const ExtendedParameters& parameters) {
     states_ += info.states;
     own += info.parameters.size();
   }
-  CLAMPD_ASSERT(states_ <= kMostStates && static_cast<int>(places_.size()) <= kMostParameters);
-  CLAMPD_ASSERT(own <= ExtendedEquations<double>::kMostOwn);
+  CLAMPD_ASSERT(states_ <= kMaxStates && static_cast<int>(places_.size()) <= kMaxParameters);
+  CLAMPD_ASSERT(own <= ExtendedEquations<double>::kMaxOwn);
   numbers_ = std::make_unique<const Numbers>(parameters, states_, places_);
 }
 
@@ -73,7 +73,7 @@ ExtendedBrake::~ExtendedBrake() = default;
 
 ExtendedBrake::State ExtendedBrake::settled(double position_rad, double velocity_rad_s,
                                             const RowInput& first) const noexcept {
-  double states[kMostStates] = {};
+  double states[kMaxStates] = {};
   numbers_->plain.settle(position_rad, velocity_rad_s, first, states);
   return Eigen::Map<const Eigen::VectorXd>(states, states_);
 }
@@ -83,7 +83,7 @@ ExtendedBrake::State ExtendedBrake::settled(double position_rad, double velocity
   const int columns = 2 + parameters();
   State result(states_);
   for (int c = 0; c < static_cast<int>(numbers_->chunks.size()); ++c) {
-    Jet states[kMostStates];
+    Jet states[kMaxStates];
     Jet position(position_rad), velocity(velocity_rad_s);
     Numbers::seed(position, 0, c * kWidth);
     Numbers::seed(velocity, 1, c * kWidth);
@@ -103,7 +103,7 @@ ExtendedBrake::State ExtendedBrake::settled(double position_rad, double velocity
 }
 
 Reading ExtendedBrake::read(const State& state, const RowInput& row) const noexcept {
-  double states[kMostStates] = {};
+  double states[kMaxStates] = {};
   std::copy_n(state.data(), states_, states);
   const auto readout = numbers_->plain.read(states, row);
   return {readout.force_N, readout.velocity_rad_s};
@@ -113,7 +113,7 @@ Reading ExtendedBrake::read(const State& state, const RowInput& row, double* jac
   const int columns = states_ + parameters();
   Reading reading{};
   for (int c = 0; c * kWidth < columns; ++c) {
-    Jet states[kMostStates];
+    Jet states[kMaxStates];
     for (int i = 0; i < states_; ++i) {
       states[i] = Jet(state[i]);
       Numbers::seed(states[i], i, c * kWidth);
@@ -128,7 +128,7 @@ Reading ExtendedBrake::read(const State& state, const RowInput& row, double* jac
 }
 
 ExtendedBrake::State ExtendedBrake::advance(const State& state, const RowInput& row) const noexcept {
-  double states[kMostStates] = {};
+  double states[kMaxStates] = {};
   std::copy_n(state.data(), states_, states);
   numbers_->plain.advance(states, row.torque_Nm, row, numbers_->plain);
   return Eigen::Map<const Eigen::VectorXd>(states, states_);
@@ -139,7 +139,7 @@ ExtendedBrake::State ExtendedBrake::advance(const State& state, const RowInput& 
   const int columns = states_ + parameters() + 1;
   State result(states_);
   for (int c = 0; c * kWidth < columns; ++c) {
-    Jet states[kMostStates];
+    Jet states[kMaxStates];
     for (int i = 0; i < states_; ++i) {
       states[i] = Jet(state[i]);
       Numbers::seed(states[i], i, c * kWidth);

@@ -19,7 +19,7 @@ namespace clampd {
 template <class T>
 class ExtendedEquations {
  public:
-  static constexpr int kMostOwn = ExtendedBrake::kMostParameters;
+  static constexpr int kMaxOwn = ExtendedBrake::kMaxParameters;
   using Stage = effects_detail::Stage;
 
   /// Effects (by their place in the model) that are `left_out` are so of all equations.
@@ -51,7 +51,7 @@ class ExtendedEquations {
     states[1] = velocity;
     std::fill(states + 2, states + states_, T(0.0));
     effects_detail::Instant<T> now = start_of(first, effects_detail::value_of(velocity) < 0.0 ? -1.0 : 1.0);
-    complete(now, position, velocity, T(0.0), T(0.0), T(first.torque_Nm), states);
+    evaluate_balance(now, position, velocity, T(0.0), T(0.0), T(first.torque_Nm), states);
     each(parts_, states,
          [&](const auto& effect, const auto& own, int at) { effect.on_settle(now, own, states + at); });
   }
@@ -66,8 +66,8 @@ class ExtendedEquations {
   /// What acts in the long run while the torque reads the same all the time.
   T acting_torque(double reading_Nm) const {
     const T reading(reading_Nm);
-    T states[ExtendedBrake::kMostStates], next[ExtendedBrake::kMostStates];
-    std::fill(states, states + ExtendedBrake::kMostStates, T(0.0));
+    T states[ExtendedBrake::kMaxStates], next[ExtendedBrake::kMaxStates];
+    std::fill(states, states + ExtendedBrake::kMaxStates, T(0.0));
     constexpr double kForEver_s = std::numeric_limits<double>::infinity();
     effects_detail::TorqueInput<T> input{reading, reading, reading, reading, kForEver_s};
     undo_reading(input, states, next);
@@ -82,7 +82,7 @@ class ExtendedEquations {
     effects_detail::TorqueInput<T> input{torque, row.previous_torque_Nm + error, row.next_torque_Nm + error,
                                          row.later_torque_Nm + error, row.gap_s};
     const int substeps = is_stiff_ ? values.substeps(plain(states).data(), row.torque_Nm, row) : 1;
-    T next[ExtendedBrake::kMostStates];
+    T next[ExtendedBrake::kMaxStates];
     std::copy(states, states + states_, next);
     undo_reading(input, states, next);
     if (chain(Stage::Filter).empty()) {
@@ -91,7 +91,7 @@ class ExtendedEquations {
       return;
     }
     const T force_before = force_at(states, row);
-    T midway[ExtendedBrake::kMostStates];
+    T midway[ExtendedBrake::kMaxStates];
     std::copy(next, next + states_, midway);
     std::copy(next, next + states_, states);
     const T until_reversal = move(states, input, row, substeps, values);
@@ -127,7 +127,7 @@ class ExtendedEquations {
     const Length half = 0.5 * length;
     const Length sixth = length / 6.0;
     const auto acceleration = [&](const T& position, const T& velocity, const T& elapsed) {
-      complete(now, position, velocity, position - p0, elapsed, torque, states);
+      evaluate_balance(now, position, velocity, position - p0, elapsed, torque, states);
       return acceleration_of(now);
     };
     const T a0 = acceleration(p0, v0, T(0.0));
@@ -143,7 +143,7 @@ class ExtendedEquations {
   T acceleration_at(const T* states, const Reached& at, const T& elapsed, const T& torque,
                     const RowInput& row, double direction) const {
     effects_detail::Instant<T> now = start_of(row, direction);
-    complete(now, at.position, at.velocity, at.position - states[0], elapsed, torque, states);
+    evaluate_balance(now, at.position, at.velocity, at.position - states[0], elapsed, torque, states);
     return acceleration_of(now);
   }
 
@@ -172,7 +172,7 @@ class ExtendedEquations {
   int substeps(const double* states, double torque_Nm,
                const RowInput& row) const requires std::is_same_v<T, double> {
     effects_detail::Instant<double> now = start_of(row, states[1] < 0.0 ? -1.0 : 1.0);
-    complete(now, states[0], states[1], 0.0, 0.0, torque_Nm, states);
+    evaluate_balance(now, states[0], states[1], 0.0, 0.0, torque_Nm, states);
     int most = 1;
     for (const Part& part : parts_)
       most = std::max(
@@ -196,8 +196,8 @@ class ExtendedEquations {
     int state;
   };
 
-  std::array<double, ExtendedBrake::kMostStates> plain(const T* states) const {
-    std::array<double, ExtendedBrake::kMostStates> values{};
+  std::array<double, ExtendedBrake::kMaxStates> plain(const T* states) const {
+    std::array<double, ExtendedBrake::kMaxStates> values{};
     for (int i = 0; i < states_; ++i)
       values[static_cast<std::size_t>(i)] = effects_detail::value_of(states[i]);
     return values;
@@ -221,8 +221,8 @@ class ExtendedEquations {
   }
 
   /// Of an instant from where the brake is: all up to the clamp force.
-  void press(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
-             const T& elapsed, const T* states) const {
+  void evaluate_force(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
+                      const T& elapsed, const T* states) const {
     now.elapsed_s = elapsed;
     now.travel = travel;
     now.position = position;
@@ -240,13 +240,13 @@ class ExtendedEquations {
   }
 
   /// Then the friction level.
-  void rub(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
-           const T& elapsed, const T* states) const {
-    press(now, position, velocity, travel, elapsed, states);
+  void evaluate_friction(effects_detail::Instant<T>& now, const T& position, const T& velocity,
+                         const T& travel, const T& elapsed, const T* states) const {
+    evaluate_force(now, position, velocity, travel, elapsed, states);
     now.coulomb_Nm = theta_[TC];
     now.static_Nm = theta_[Ts0] + theta_[mus] * now.force_N;
     now.viscous_Nm_s_rad = theta_[Tv];
-    now.grip = T(now.direction);
+    now.friction_ratio = T(now.direction);
     now.opposing_Nm = T(0.0);
     each(chain(Stage::Friction), states,
          [&](const auto& effect, const auto& own, int) { effect.on_friction(now, own); });
@@ -255,9 +255,9 @@ class ExtendedEquations {
   }
 
   /// Everything.
-  void complete(effects_detail::Instant<T>& now, const T& position, const T& velocity, const T& travel,
-                const T& elapsed, const T& torque, const T* states) const {
-    rub(now, position, velocity, travel, elapsed, states);
+  void evaluate_balance(effects_detail::Instant<T>& now, const T& position, const T& velocity,
+                        const T& travel, const T& elapsed, const T& torque, const T* states) const {
+    evaluate_friction(now, position, velocity, travel, elapsed, states);
     now.torque_Nm = torque;
     now.ratio_m_rad = T(fixed_.ratio_m_rad);
     now.inertia_kg_m2 = T(fixed_.inertia_kg_m2);
@@ -267,7 +267,7 @@ class ExtendedEquations {
 
   T net_torque(const effects_detail::Instant<T>& now) const {
     return now.torque_Nm - now.ratio_m_rad * now.force_N - now.viscous_Nm_s_rad * now.velocity -
-           now.grip * now.level_Nm - now.opposing_Nm;
+           now.friction_ratio * now.level_Nm - now.opposing_Nm;
   }
   T acceleration_of(const effects_detail::Instant<T>& now) const {
     return net_torque(now) / now.inertia_kg_m2;
@@ -275,7 +275,7 @@ class ExtendedEquations {
 
   T force_at(const T* states, const RowInput& row) const {
     effects_detail::Instant<T> now = start_of(row, effects_detail::value_of(states[1]) < 0.0 ? -1.0 : 1.0);
-    press(now, states[0], states[1], T(0.0), T(0.0), states);
+    evaluate_force(now, states[0], states[1], T(0.0), T(0.0), states);
     return now.force_N;
   }
 
@@ -283,7 +283,7 @@ class ExtendedEquations {
   double breakaway(const T* states, const T& torque, const RowInput& row) const {
     for (const double direction : {1.0, -1.0}) {
       effects_detail::Instant<T> now = start_of(row, direction);
-      complete(now, states[0], T(0.0), T(0.0), T(0.0), torque, states);
+      evaluate_balance(now, states[0], T(0.0), T(0.0), T(0.0), torque, states);
       if (direction * effects_detail::value_of(net_torque(now)) > 0.0) return direction;
     }
     return 0.0;
@@ -297,8 +297,8 @@ class ExtendedEquations {
       return;
     }
     effects_detail::Instant<T> end = start_of(row, direction);
-    rub(end, reached.position, reached.velocity, reached.position - states[0], elapsed, states);
-    T next[ExtendedBrake::kMostStates];
+    evaluate_friction(end, reached.position, reached.velocity, reached.position - states[0], elapsed, states);
+    T next[ExtendedBrake::kMaxStates];
     std::copy(states, states + states_, next);
     each(chain(Stage::Remember), states,
          [&](const auto& effect, const auto& own, int at) { effect.on_remember(end, own, next + at); });
@@ -312,7 +312,7 @@ class ExtendedEquations {
          const ExtendedEquations<double>& values) const {
     T reversal(0.0);
     const auto stretch = [&](const T& torque, double begin_s, double length_s) {
-      const int steps = std::max(1, static_cast<int>(std::ceil(substeps * length_s / kLargestStep_s - 1e-6)));
+      const int steps = std::max(1, static_cast<int>(std::ceil(substeps * length_s / kMaxStep_s - 1e-6)));
       for (int i = 0; i < steps; ++i) {
         const T within = step(states, torque, row, length_s / steps, values);
         if (within > 0.0) reversal = begin_s + i * (length_s / steps) + within;
@@ -328,7 +328,7 @@ class ExtendedEquations {
          const ExtendedEquations<double>& values) const {
     T left = T(length);
     T reversal = T(0.0);
-    for (int crossing = 0; crossing < kMaximumCrossings; ++crossing) {
+    for (int crossing = 0; crossing < kMaxCrossings; ++crossing) {
       const double velocity = effects_detail::value_of(states[1]);
       const double direction =
           velocity != 0.0 ? std::copysign(1.0, velocity) : breakaway(states, torque, row);
@@ -369,7 +369,7 @@ class ExtendedEquations {
   std::array<std::vector<Part>, effects_detail::kStages> chains_;  ///< as they act one on another
   FixedParameters fixed_;
   T theta_[kParameterCount];
-  T own_[kMostOwn];
+  T own_[kMaxOwn];
   int states_ = 2;
   bool is_stiff_ = false;
 };

@@ -18,7 +18,8 @@ Result<EffectValues> read_effect(const std::string& path, const toml::table& tab
   if (effect == nullptr) {
     std::string known;
     for (const Effect* other : effects()) known += fmt::format(" {}", info_of(*other).name);
-    return failure(fmt::format("{}: there is no effect \"{}\"; known are{}", location_of(path, table), *name, known));
+    return failure(
+        fmt::format("{}: there is no effect \"{}\"; known are{}", location_of(path, table), *name, known));
   }
   const EffectInfo& info = info_of(*effect);
   for (const auto& [key, node] : table) {
@@ -26,7 +27,8 @@ Result<EffectValues> read_effect(const std::string& path, const toml::table& tab
     const bool known = found == "name" || std::any_of(info.parameters.begin(), info.parameters.end(),
                                                       [&](const auto& p) { return p.name == found; });
     if (!known)
-      return failure(fmt::format("{}: effect {} has no parameter \"{}\"", location_of(path, node), *name, found));
+      return failure(
+          fmt::format("{}: effect {} has no parameter \"{}\"", location_of(path, node), *name, found));
   }
   EffectValues values{effect, {}};
   for (const EffectParameter& parameter : info.parameters) {
@@ -41,8 +43,9 @@ Result<EffectValues> read_effect(const std::string& path, const toml::table& tab
                                  parameter.name, in_words(parameter)));
     const auto value = node->value<double>();
     if (!value || !(*value >= parameter.lower && *value <= parameter.upper))
-      return failure(fmt::format("{}: {} of effect {} must be a number within {} ... {} {}", location_of(path, *node),
-                                 parameter.name, *name, parameter.lower, parameter.upper, parameter.unit));
+      return failure(fmt::format("{}: {} of effect {} must be a number within {} ... {} {}",
+                                 location_of(path, *node), parameter.name, *name, parameter.lower,
+                                 parameter.upper, parameter.unit));
     values.values.push_back(*value);
   }
   return values;
@@ -75,7 +78,7 @@ Result<ExtendedParameters> parse_extended_parameters(std::string_view text, cons
     if (!effect) return tl::unexpected(effect.error());
     states += info_of(*effect->effect).states;
     count += static_cast<int>(effect->values.size());
-    if (states > ExtendedBrake::kMostStates || count > ExtendedBrake::kMostParameters)
+    if (states > ExtendedBrake::kMaxStates || count > ExtendedBrake::kMaxParameters)
       return failure(fmt::format("{}: too many effects in one model", location_of(path, entry)));
     parameters.effects.push_back(*effect);
   }

@@ -8,10 +8,7 @@
 
 namespace clampd {
 
-namespace {
-
-
-}  // namespace
+namespace {}  // namespace
 
 void Simulation::resize(std::size_t rows) {
   position_rad.assign(rows, kNaN);
@@ -33,9 +30,9 @@ void Simulation::invalidate_rest() noexcept {
 }
 
 int steps_in(double gap_s) noexcept {
-  if (!(gap_s > 0.0 && gap_s <= kLongestGap_s)) return 0;
+  if (!(gap_s > 0.0 && gap_s <= kMaxGap_s)) return 0;
   // Time stamps of a 1 kHz recording are off by rounding; that is not a longer gap.
-  return std::max(1, static_cast<int>(std::ceil(gap_s / kLargestStep_s - 1e-6)));
+  return std::max(1, static_cast<int>(std::ceil(gap_s / kMaxStep_s - 1e-6)));
 }
 
 void simulate(const BrakeParameters& parameters, const BrakeState& initial, const Excitation& excitation,

@@ -14,7 +14,7 @@ constexpr double kBraking_rad_s2 = 4000.0;
 constexpr double kSignWidth_rad_s = 3.0;     // below, a friction feed-forward would chatter
 constexpr double kSpeedMargin_rad_s = 15.0;  // over which the torque fades before the speed limit
 // Bounds of a brake's velocity over the nominal one's, where both have the same force.
-constexpr double kLeastStretch = 0.6, kMostStretch = 1.6;
+constexpr double kLeastStretch = 0.6, kMaxStretch = 1.6;
 
 /// The sign of a wanted velocity, with a ramp through zero.
 double soft_sign(double velocity_rad_s) noexcept {
@@ -32,7 +32,7 @@ double tracking_torque_Nm(const ReferenceRow& row, const ReferenceRow& next, con
     stretch = row.position_rad > 1.0
                   ? row.stiffness_N_rad / std::max(stiffness.slope_N_rad(position_rad), 1.0)
                   : position_rad / row.position_rad;
-  stretch = std::clamp(stretch, kLeastStretch, kMostStretch);
+  stretch = std::clamp(stretch, kLeastStretch, kMaxStretch);
   const double velocity_rad_s = stretch * row.velocity_rad_s;
   const double acceleration_rad_s2 = (next.velocity_rad_s - row.velocity_rad_s) / kPeriod_s;
 

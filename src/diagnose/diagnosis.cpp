@@ -36,10 +36,10 @@ constexpr double kLost = 2.0;
 constexpr std::size_t kSeveral = 2;
 /// An effect whose strength these runs know no better than this, over the change that matters, was not seen.
 constexpr double kBlind = 0.5;
-constexpr std::size_t kMostRivals = 3;
+constexpr std::size_t kMaxRivals = 3;
 /// Dependences worth telling: no fainter than this share of the strongest, and no more than these.
 constexpr double kFaint = 0.3;
-constexpr std::size_t kMostDependences = 8;
+constexpr std::size_t kMaxDependences = 8;
 constexpr std::size_t kFewestRows = 30;
 
 Result<void> check(std::span<const Run> runs) {
@@ -144,22 +144,23 @@ Hypothesis averaged(const Selection& selection) {
   return chosen;
 }
 
-Rung rung_of(const Candidate& candidate, int stage) {
-  Rung rung;
-  rung.stage = stage;
-  rung.name = std::string(candidate.name());
-  rung.location = info_of(*candidate.effect).location;
-  rung.predicted_gain = candidate.predicted_gain;
-  rung.parameters = static_cast<int>(candidate.degrees);
-  rung.evidence = candidate.is_fitted ? candidate.evidence : candidate.predicted_evidence;
-  rung.p_value = p_value_of(rung.evidence, static_cast<double>(effects().size()));
+CandidateSummary rung_of(const Candidate& candidate, int stage) {
+  CandidateSummary summary;
+  summary.stage = stage;
+  summary.name = std::string(candidate.name());
+  summary.location = info_of(*candidate.effect).location;
+  summary.predicted_gain = candidate.predicted_gain;
+  summary.parameters = static_cast<int>(candidate.degrees);
+  summary.significance_nats =
+      candidate.is_fitted ? candidate.significance_nats : candidate.predicted_significance_nats;
+  summary.p_value = p_value_of(summary.significance_nats, static_cast<double>(effects().size()));
   if (candidate.is_fitted) {
-    rung.gain = candidate.gain;
+    summary.gain = candidate.gain;
     if (candidate.fitted.possible())
-      rung.values = effect_parameters(candidate.fitted.estimate,
-                                      candidate.fitted.estimate.parameters.effects.size() - 1);
+      summary.values = effect_parameters(candidate.fitted.estimate,
+                                         candidate.fitted.estimate.parameters.effects.size() - 1);
   }
-  return rung;
+  return summary;
 }
 
 /// Whether a brake is left with next to none of what every such brake has: then the effects beside it stand
@@ -205,7 +206,7 @@ bool is_left_by_tare(const Selection& selection, std::size_t effect, const Eigen
   const double variance = covariance(at, at);
   // What an offset beyond the tare's explains better than one of the tare's, drawn from its distribution.
   const double gain = selection.effects[effect].gain * variance / (variance + tare_sd * tare_sd);
-  return evidence_of(gain, 1.0, 1.0) <= alarm_level(options.false_alarm);
+  return significance_of(gain, 1.0, 1.0) <= alarm_level(options.false_alarm);
 }
 
 class Progress {
@@ -239,7 +240,7 @@ Result<Prepared> prepare(std::span<const Run> given, const DiagnoseOptions& opti
     return failure("the drive was off in all runs (drive_enabled is 0): add runs in which the brake moves");
 
   Hypothesis& base = prepared.base;
-  base.threads = SpareThreads(threads_or_all(options.threads));
+  base.threads = ThreadBudget(threads_or_all(options.threads));
   prepared.torque_off = pooled(options.torque_while_off, torque_while_off(given));
   base.estimate = fit_base(prepared.runs, options.nominal, base.threads);
   if (!base.possible())
@@ -263,7 +264,7 @@ struct Found {
   bool lost = false;  ///< what is wrong is none of the candidates
 
   bool something_left() const {
-    return after.surprise > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
+    return after.neg_log_p > -std::log(kFalseResidual) && after.nats > kLeastUnexplained_nats;
   }
   bool much_left() const { return something_left() && after.nats > kUnexplainedShare * explained_nats; }
 };
@@ -322,14 +323,14 @@ bool name_effects(const Selection& selection, const Eigen::MatrixXd& own_covaria
     named.location = info_of(*find_effect(selected.name)).location;
     named.parameters = effect_parameters(selection.chosen.estimate, e);
     named.log_likelihood_gain = selected.gain;
-    named.p_value = p_value_of(selected.evidence, static_cast<double>(effects().size()));
+    named.p_value = p_value_of(selected.significance_nats, static_cast<double>(effects().size()));
     diagnosis.effects.push_back(std::move(named));
     if (selected.rivals.empty()) continue;
     std::vector<std::string> group{selected.name};
     std::vector<Diagnosis::Rival> models{
         {selected.name, selection.chosen.estimate.parameters, own_covariance}};
     for (const Candidate& rival : selected.rivals) {
-      if (group.size() == kMostRivals) break;
+      if (group.size() == kMaxRivals) break;
       group.emplace_back(rival.name());
       models.push_back(
           {std::string(rival.name()), rival.fitted.estimate.parameters, rival.fitted.estimate.covariance});
@@ -344,15 +345,15 @@ bool name_effects(const Selection& selection, const Eigen::MatrixXd& own_covaria
 void list_candidates(const Selection& selection, Diagnosis& diagnosis) {
   for (std::size_t stage = 0; stage < selection.stages.size(); ++stage)
     for (const Candidate& candidate : selection.stages[stage]) {
-      Rung rung = rung_of(candidate, static_cast<int>(stage) + 1);
-      rung.chosen = stage < selection.effects.size() &&
-                    std::any_of(diagnosis.effects.begin(), diagnosis.effects.end(),
-                                [&](const NamedEffect& named) { return named.name == rung.name; }) &&
-                    &candidate == &selection.stages[stage].front();
-      rung.rival = std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(), [&](const auto& group) {
-        return stage == 0 && std::find(group.begin(), group.end(), rung.name) != group.end();
+      CandidateSummary summary = rung_of(candidate, static_cast<int>(stage) + 1);
+      summary.chosen = stage < selection.effects.size() &&
+                       std::any_of(diagnosis.effects.begin(), diagnosis.effects.end(),
+                                   [&](const NamedEffect& named) { return named.name == summary.name; }) &&
+                       &candidate == &selection.stages[stage].front();
+      summary.rival = std::any_of(diagnosis.rivals.begin(), diagnosis.rivals.end(), [&](const auto& group) {
+        return stage == 0 && std::find(group.begin(), group.end(), summary.name) != group.end();
       });
-      diagnosis.ladder.push_back(std::move(rung));
+      diagnosis.candidates.push_back(std::move(summary));
     }
   if (!selection.stages.empty())
     for (const Candidate& candidate : selection.stages.front())
@@ -379,7 +380,7 @@ void describe_misfit(const Found& found, bool is_misplaced, Diagnosis& diagnosis
   for (const Dependence& dependence : told.dependences) strongest = std::max(strongest, dependence.gain);
   for (const Dependence& dependence : told.dependences)
     if (dependence.p_value < kFalseResidual && dependence.gain > kFaint * strongest &&
-        misfit.dependences.size() < kMostDependences)
+        misfit.dependences.size() < kMaxDependences)
       misfit.dependences.push_back(dependence);
   if (diagnosis.verdict == DiagnosisVerdict::Adequate) return;
   if (!is_misplaced && !diagnosis.effects.empty())

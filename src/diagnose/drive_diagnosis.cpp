@@ -18,7 +18,6 @@ namespace {
 
 using namespace drive;
 
-
 struct UnseenReason {
   std::string_view name, reason;
 };
@@ -254,35 +253,36 @@ void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candi
     diagnosis.unseen.push_back({name, ripple.reason});
     return;
   }
-  Rung rung;
-  rung.name = name;
-  rung.location = Location::TorqueBalance;
-  rung.predicted_gain = rung.gain = ripple.gain;
-  rung.parameters = static_cast<int>(2 * ripple.orders.size());
-  rung.evidence = ripple.evidence;
-  rung.chosen = !ripple.orders.empty();
+  CandidateSummary summary;
+  summary.name = name;
+  summary.location = Location::TorqueBalance;
+  summary.predicted_gain = summary.gain = ripple.gain;
+  summary.parameters = static_cast<int>(2 * ripple.orders.size());
+  summary.significance_nats = ripple.significance_nats;
+  summary.chosen = !ripple.orders.empty();
   int number = 0;
   for (const SteadyRipple::Order& order : ripple.orders) {
     const std::string suffix = fmt::format("-{}", ++number);
-    rung.values.push_back({"order" + suffix, units.order, order.order, kNaN});
+    summary.values.push_back({"order" + suffix, units.order, order.order, kNaN});
     if (!std::isnan(order.forward))
-      rung.values.push_back({"amplitude-forward" + suffix, units.torque, order.forward, order.forward_sd});
+      summary.values.push_back({"amplitude-forward" + suffix, units.torque, order.forward, order.forward_sd});
     if (!std::isnan(order.backward))
-      rung.values.push_back({"amplitude-backward" + suffix, units.torque, order.backward, order.backward_sd});
+      summary.values.push_back(
+          {"amplitude-backward" + suffix, units.torque, order.backward, order.backward_sd});
     diagnosis.notices.push_back(
         fmt::format("within the steady runs, order {} makes {:.0f} % of the torque's variance", order.order,
                     100.0 * order.share));
   }
-  if (rung.chosen) {
+  if (summary.chosen) {
     NamedEffect effect;
     effect.name = name;
-    effect.parameters = rung.values;
+    effect.parameters = summary.values;
     effect.log_likelihood_gain = ripple.gain;
-    effect.p_value = std::min(1.0, candidates * std::exp(-ripple.evidence));
+    effect.p_value = std::min(1.0, candidates * std::exp(-ripple.significance_nats));
     diagnosis.effects.push_back(std::move(effect));
     words.emplace_back(words_of(DriveTerm::Cogging));
   }
-  diagnosis.ladder.push_back(std::move(rung));
+  diagnosis.candidates.push_back(std::move(summary));
 }
 
 NamedEffect named(const DriveComponent& component, const std::vector<DriveComponent>& components,
@@ -301,7 +301,7 @@ NamedEffect named(const DriveComponent& component, const std::vector<DriveCompon
   effect.log_likelihood_gain = 0.5 * effective_size(with.residuals) *
                                std::log(without.regression.residual_square / with.residual_square);
   effect.p_value =
-      std::min(1.0, std::exp(-with.evidence_of_last(static_cast<int>(component.columns.size()))) *
+      std::min(1.0, std::exp(-with.significance_of_last(static_cast<int>(component.columns.size()))) *
                         component.alternatives * candidates);
   return effect;
 }
@@ -312,19 +312,19 @@ void add_ladder(const DriveSearchResult& found, const DriveFit& fit, const Drive
     const DriveSearchResult::Stage& stage = found.stages[s];
     for (std::size_t i = 0; i < stage.trials.size(); ++i) {
       const DriveTrial& trial = stage.trials[i];
-      Rung rung;
-      rung.stage = static_cast<int>(s) + 1;
-      rung.name = name_of(trial.component.term);
-      rung.location = Location::TorqueBalance;
-      rung.predicted_gain = rung.gain = trial.gain;
-      rung.parameters = static_cast<int>(trial.component.columns.size());
-      rung.evidence = trial.evidence;
-      rung.chosen = stage.winner == i;
-      rung.rival = std::find(stage.rivals.begin(), stage.rivals.end(), i) != stage.rivals.end();
+      CandidateSummary summary;
+      summary.stage = static_cast<int>(s) + 1;
+      summary.name = name_of(trial.component.term);
+      summary.location = Location::TorqueBalance;
+      summary.predicted_gain = summary.gain = trial.gain;
+      summary.parameters = static_cast<int>(trial.component.columns.size());
+      summary.significance_nats = trial.significance_nats;
+      summary.chosen = stage.winner == i;
+      summary.rival = std::find(stage.rivals.begin(), stage.rivals.end(), i) != stage.rivals.end();
       std::vector<DriveComponent> alone = found.base;
       alone.push_back(trial.component);
-      rung.values = effect_parameters(trial.component, fitted(fit, alone), model, units);
-      diagnosis.ladder.push_back(std::move(rung));
+      summary.values = effect_parameters(trial.component, fitted(fit, alone), model, units);
+      diagnosis.candidates.push_back(std::move(summary));
     }
     if (!stage.winner || stage.rivals.empty()) continue;
     std::vector<std::string> group{std::string(name_of(stage.trials[*stage.winner].component.term))};

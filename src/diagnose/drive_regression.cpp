@@ -72,7 +72,7 @@ Regression regress(const Eigen::MatrixXd& columns, const Eigen::VectorXd& target
   return result;
 }
 
-double Regression::evidence_of_last(int count) const {
+double Regression::significance_of_last(int count) const {
   if (blocks <= count + 1) return 0.0;
   const Eigen::VectorXd tail = coefficients.tail(count);
   const Eigen::MatrixXd covariance = jackknife.bottomRightCorner(count, count);

@@ -22,7 +22,7 @@ struct Regression {
   int blocks = 0;
 
   /// Hotelling's test that the last `count` coefficients are zero; returns -ln p.
-  double evidence_of_last(int count) const;
+  double significance_of_last(int count) const;
 };
 
 /// `block`: 0, 1, ... of each row. Columns must not be collinear.

@@ -59,13 +59,13 @@ std::optional<DependenceTest> dependence_on(std::string_view name, const Fitted&
   }
   if (added == 0) return std::nullopt;
   const Regression with = regress(columns, fit.target(), fit.blocks());
-  const double evidence = with.evidence_of_last(added);
+  const double significance_nats = with.significance_of_last(added);
   DependenceTest test;
   test.share = 1.0 - with.residual_square / model.regression.residual_square;
   test.dependence = {std::string(name), Location::TorqueBalance,
                      0.5 * effective_size(with.residuals) *
                          std::log(model.regression.residual_square / with.residual_square),
-                     std::min(1.0, tests * std::exp(-evidence))};
+                     std::min(1.0, tests * std::exp(-significance_nats))};
   const double before =
       std::accumulate(model.regression.heldout_square.begin(), model.regression.heldout_square.end(), 0.0);
   const double after = std::accumulate(with.heldout_square.begin(), with.heldout_square.end(), 0.0);

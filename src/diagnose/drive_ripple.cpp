@@ -4,7 +4,6 @@
 #include <cmath>
 #include <limits>
 
-
 #include "clampd/statistics/distributions.hpp"
 #include "src/diagnose/drive_regression.hpp"
 
@@ -12,7 +11,7 @@ namespace clampd::drive {
 namespace {
 
 constexpr int kHighestOrder = 32;
-constexpr std::size_t kMostRippleOrders = 6;
+constexpr std::size_t kMaxRippleOrders = 6;
 constexpr int kBlocks = 12;
 constexpr double kLeastShare = 0.02;
 
@@ -60,7 +59,7 @@ Eigen::MatrixXd with_order(const SteadyRun& run, double order) {
 }
 
 struct Trial {
-  double evidence = 0.0;
+  double significance_nats = 0.0;
   double gain = 0.0;
   double share = 0.0;
   bool holds = false;
@@ -73,7 +72,7 @@ std::optional<Trial> trial_of(const std::vector<SteadyRun>& runs, double order) 
     if (order < run.lowest || order > run.highest) continue;
     const Regression without = regress(run.columns, run.torque, run.block);
     const Regression with = regress(with_order(run, order), run.torque, run.block);
-    log_p += with.evidence_of_last(2);
+    log_p += with.significance_of_last(2);
     gain += 0.5 * effective_size(with.residuals) * std::log(without.residual_square / with.residual_square);
     const double total = (run.torque.array() - run.torque.mean()).square().sum();
     taken += (without.residual_square - with.residual_square) / total;
@@ -136,7 +135,7 @@ SteadyRipple steady_ripple(std::span<const Run> runs, const DriveModel& model, d
   }
   result.tested = true;
   std::vector<int> used;
-  while (used.size() < kMostRippleOrders) {
+  while (used.size() < kMaxRippleOrders) {
     Trial best;
     int at = 0;
     for (int order = 1; order <= kHighestOrder; ++order) {
@@ -147,9 +146,9 @@ SteadyRipple steady_ripple(std::span<const Run> runs, const DriveModel& model, d
         at = order;
       }
     }
-    const double evidence = best.evidence - std::log(tried);
-    if (used.empty()) result.evidence = evidence;
-    if (at == 0 || evidence < alarm || !best.holds || best.share < kLeastShare) break;
+    const double significance_nats = best.significance_nats - std::log(tried);
+    if (used.empty()) result.significance_nats = significance_nats;
+    if (at == 0 || significance_nats < alarm || !best.holds || best.share < kLeastShare) break;
     used.push_back(at);
     result.gain += best.gain;
     result.orders.push_back(amplitudes(steady, at, best.share));

@@ -19,9 +19,9 @@ struct SteadyRipple {
     double forward = 0.0, forward_sd = 0.0, backward = 0.0, backward_sd = 0.0;
     double share = 0.0;  ///< of the torque's variance within the runs
   };
-  std::vector<Order> orders;  ///< the strongest first; empty if there are none
-  double gain = 0.0;          ///< nats
-  double evidence = 0.0;      ///< -ln p of the strongest order, those tried counted
+  std::vector<Order> orders;       ///< the strongest first; empty if there are none
+  double gain = 0.0;               ///< nats
+  double significance_nats = 0.0;  ///< -ln p of the strongest order, those tried counted
   bool tested = false;
   std::string reason;  ///< why not
 };

@@ -220,7 +220,7 @@ void center_held(std::vector<double>& torque) {
 }
 
 DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz) {
-  constexpr double kMostStandstill = 0.1;
+  constexpr double kMaxStandstill = 0.1;
   DriveRows rows;
   rows.name = run.name;
   rows.motion = motion_of(run, cut_off_Hz);
@@ -234,7 +234,7 @@ DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz) {
     double standstill = 0.0;
     for (std::size_t k = 0; k < weights.size(); ++k)
       if (rows.motion.sign[first + k] == 0.0) standstill += weights[k];
-    if (weights.empty() || standstill > kMostStandstill) continue;
+    if (weights.empty() || standstill > kMaxStandstill) continue;
     RowsBuilder::add(rows, first, std::move(weights));
   }
   fill(rows);

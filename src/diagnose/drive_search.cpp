@@ -17,10 +17,10 @@ constexpr double kRivalNats = 5.0;
 /// An effect must take at least this share off the squared error of what was held out.
 constexpr double kLeastHeldOutShare = 0.01;
 /// Of what an effect gains where it helps, it may lose this share elsewhere.
-constexpr double kMostLost = 0.2;
+constexpr double kMaxLost = 0.2;
 /// That folds agree by chance that an effect helps.
 constexpr double kChanceOfFolds = 0.05;
-constexpr std::size_t kMostOrders = 6;
+constexpr std::size_t kMaxOrders = 6;
 
 std::vector<int> numbered(const std::vector<int>& labels) {
   std::map<int, int> numbers;
@@ -197,15 +197,15 @@ class Search {
     const Regression with = regress(joined(base, added), fit_.target(), fit_.blocks());
     const double alternatives = std::log(component.alternatives);
     trial.gain = gain_nats(without, with);
-    trial.evidence = with.evidence_of_last(static_cast<int>(added.cols())) - alternatives;
+    trial.significance_nats = with.significance_of_last(static_cast<int>(added.cols())) - alternatives;
     trial.score = trial.gain - alternatives -
                   0.5 * static_cast<double>(added.cols()) * std::log(effective_size(with.residuals));
-    trial.significant = trial.evidence > alarm() && trial.score > 0.0 &&
+    trial.significant = trial.significance_nats > alarm() && trial.score > 0.0 &&
                         (!one_sided(component.term) || with.coefficients[base.cols()] > 0.0);
     // What an offset does as well is no evidence for a larger model that contains it.
     const int own = static_cast<int>(added.cols()) - 1;
     if (contains_offset(component) && own > 0)
-      trial.significant = trial.significant && with.evidence_of_last(own) > alarm();
+      trial.significant = trial.significant && with.significance_of_last(own) > alarm();
     trial.holds = trial.significant && holds(base, joined(base, added), component);
     return trial;
   }
@@ -257,7 +257,7 @@ class Search {
     if (judged < 3) return &folds != &fit_.blocks() && holds_over(base, extended, fit_.blocks());
     if (!(sum > kLeastHeldOutShare * before)) return false;
     // Either hardly any part is predicted worse, or the parts agree: an effect may act in few of them.
-    if (lost < kMostLost * (sum + lost)) return true;
+    if (lost < kMaxLost * (sum + lost)) return true;
     const double variance = std::max(0.0, square - sum * sum / judged) * judged / (judged - 1.0);
     return sum > statistics::student_t_upper_quantile(kChanceOfFolds, judged - 1.0) * std::sqrt(variance);
   }
@@ -347,7 +347,7 @@ class Search {
     Eigen::MatrixXd current = base;
     Eigen::VectorXd residual = without.residuals;
     std::vector<double> used;
-    while (component.shape.size() < kMostOrders) {
+    while (component.shape.size() < kMaxOrders) {
       const Eigen::MatrixXd basis = statistics::orthonormal_basis(current);
       const auto explained = [&](const Eigen::MatrixXd& columns) {
         const Eigen::MatrixXd rest = columns - basis * (basis.transpose() * columns);
@@ -387,9 +387,9 @@ class Search {
       used.push_back(orders[at]);
       const Eigen::MatrixXd extended = joined(current, columns);
       const Regression with = regress(extended, fit_.target(), fit_.blocks());
-      const double evidence =
-          with.evidence_of_last(static_cast<int>(columns.cols())) - std::log(component.alternatives);
-      const bool counts = evidence > alarm();
+      const double significance_nats =
+          with.significance_of_last(static_cast<int>(columns.cols())) - std::log(component.alternatives);
+      const bool counts = significance_nats > alarm();
       if (!component.shape.empty() && (!counts || !holds_over(current, extended, fit_.blocks()))) break;
       current = extended;
       residual = with.residuals;
@@ -455,9 +455,9 @@ DriveFit::DriveFit(const DriveData& data, const DriveModel& model)
   const std::vector<int> whole(n, 0);
   const Regression first = regress(so_far, target_, whole);
   const double memory = static_cast<double>(n) / effective_size(first.residuals);
-  constexpr double kMostBlocks = 60.0;
+  constexpr double kMaxBlocks = 60.0;
   constexpr double kLeastBlocks = 24.0;
-  const double blocks = std::clamp(static_cast<double>(n) / (4.0 * memory), kLeastBlocks, kMostBlocks);
+  const double blocks = std::clamp(static_cast<double>(n) / (4.0 * memory), kLeastBlocks, kMaxBlocks);
   const auto length = std::max<std::size_t>(2, static_cast<std::size_t>(static_cast<double>(n) / blocks));
   int block = -1;
   std::size_t in_block = 0;

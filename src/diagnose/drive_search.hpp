@@ -45,9 +45,9 @@ class DriveFit {
 /// One candidate beside one model.
 struct DriveTrial {
   DriveComponent component;
-  double gain = 0.0;      ///< nats, counted in independent samples
-  double evidence = 0.0;  ///< -ln p, its alternatives counted
-  double score = 0.0;     ///< gain less what its coefficients and alternatives cost
+  double gain = 0.0;               ///< nats, counted in independent samples
+  double significance_nats = 0.0;  ///< -ln p, its alternatives counted
+  double score = 0.0;              ///< gain less what its coefficients and alternatives cost
   bool significant = false;
   bool holds = false;  ///< predicts what was left out
 };

@@ -77,7 +77,7 @@ GainFigures judge(const Hypothesis& trained, Hypothesis held, const NoiseLevels&
   figures.simulated_rms_velocity_rad_s = std::sqrt(simulated_velocity / velocities);
   figures.log_likelihood_per_sample = likelihood / (0.5 * (forces + velocities));
   figures.misfit = misfit_by(noise, std::move(held));
-  figures.whiteness_p_value = p_value_of(surprise_of_colour(filtered));
+  figures.whiteness_p_value = p_value_of(neg_log_p_of_colour(filtered));
   return figures;
 }
 

@@ -6,7 +6,6 @@
 #include <limits>
 #include <numbers>
 
-
 #include "clampd/statistics/symmetric.hpp"
 #include "src/diagnose/evidence.hpp"
 #include "src/diagnose/look.hpp"
@@ -37,9 +36,9 @@ constexpr double kHopeless_nats = 0.1;
 constexpr double kBehind_nats = 20.0;
 /// No drive's torque is as noisy as this.
 constexpr double kImpossibleTorque_Nm = 0.05;
-constexpr std::size_t kMostFits = 4;
+constexpr std::size_t kMaxFits = 4;
 /// The same of further choices, one after the other, that bring nothing more.
-constexpr int kMostMisses = 3;
+constexpr int kMaxMisses = 3;
 /// Enough to see whether a candidate is among the best; those are then fitted to the end.
 constexpr int kRoughIterations = 14;
 /// A model that lacks an effect is near enough to its end where a step promises this share of what the effect
@@ -221,7 +220,7 @@ void weigh(Candidate& candidate, const Hypothesis& hypothesis) {
   candidate.gain = candidate.fitted.possible()
                        ? std::max(0.0, candidate.fitted.log_likelihood() - hypothesis.log_likelihood())
                        : 0.0;
-  candidate.evidence = evidence_of(candidate.gain, candidate.degrees, candidate.alternatives);
+  candidate.significance_nats = significance_of(candidate.gain, candidate.degrees, candidate.alternatives);
 }
 
 bool is_stuck(const Hypothesis& hypothesis) {
@@ -237,16 +236,16 @@ namespace {
 /// The rough fits of one candidate, the best of which stays.
 class RoughFits {
  public:
-  RoughFits(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh)
+  RoughFits(Candidate& candidate, const Hypothesis& hypothesis, bool also_from_nominal)
       : candidate_(candidate),
         hypothesis_(hypothesis),
-        also_afresh_(also_afresh),
+        also_from_nominal_(also_from_nominal),
         hopeless_(hypothesis.log_likelihood() - kHopeless_nats * hypothesis.estimate.readings) {}
 
   void from_starts() {
     std::size_t fits = 0;
     for (const Start& start : candidate_.starts) {
-      if (fits > 0 && (fits >= kMostFits || start.predicted_gain < kWorthAFit * candidate_.predicted_gain))
+      if (fits > 0 && (fits >= kMaxFits || start.predicted_gain < kWorthAFit * candidate_.predicted_gain))
         break;
       if (is_scanned(*candidate_.effect) && gain() > start.predicted_gain) break;
       const bool other_shape = info_of(*candidate_.effect).parameters.size() > 1;
@@ -265,7 +264,7 @@ class RoughFits {
     for (std::size_t i = 0; i < parameters.size() && candidate_.fitted.possible(); ++i) {
       if (parameters[i].role != Role::Refinement) continue;
       int misses = 0;
-      for (std::size_t other = 1; other < parameters[i].starts.size() && misses < kMostMisses; ++other)
+      for (std::size_t other = 1; other < parameters[i].starts.size() && misses < kMaxMisses; ++other)
         misses = chosen(i, parameters[i].starts[other]) ? 0 : misses + 1;
     }
   }
@@ -311,7 +310,7 @@ class RoughFits {
 
   /// From the nominal brake.
   void afresh(const EffectValues& values) {
-    if (!also_afresh_) return;
+    if (!also_from_nominal_) return;
     Hypothesis fitted = fitted_from({.values = values}, hypothesis_, kModestTorque_Nm, kRoughIterations,
                                     Brake::Nominal, hopeless_);
     if (fitted.log_likelihood() < hopeless_) return;
@@ -321,20 +320,20 @@ class RoughFits {
 
   Candidate& candidate_;
   const Hypothesis& hypothesis_;
-  bool also_afresh_;
+  bool also_from_nominal_;
   double hopeless_;
 };
 
 }  // namespace
 
-void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
-  RoughFits(candidate, hypothesis, also_afresh).from_starts();
+void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_from_nominal) {
+  RoughFits(candidate, hypothesis, also_from_nominal).from_starts();
   candidate.is_fitted = true;
   weigh(candidate, hypothesis);
 }
 
-void refine(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh) {
-  RoughFits(candidate, hypothesis, also_afresh).refine();
+void refine(Candidate& candidate, const Hypothesis& hypothesis, bool also_from_nominal) {
+  RoughFits(candidate, hypothesis, also_from_nominal).refine();
   weigh(candidate, hypothesis);
 }
 
@@ -349,8 +348,9 @@ void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hyp
 
 namespace {
 
-/// Whether one of the friction's parameters has moved far from where it was without the effect, or lies near the end of what is
-/// sensible: then the search may have followed a friction that had stood in for the effect.
+/// Whether one of the friction's parameters has moved far from where it was without the effect, or lies near
+/// the end of what is sensible: then the search may have followed a friction that had stood in for the
+/// effect.
 bool has_friction_moved(const Hypothesis& with, const Hypothesis& without) {
   constexpr double kFar_sd = 10.0;
   if (is_brake_impossible(with) || is_brake_impossible(without)) return true;
@@ -364,8 +364,8 @@ bool has_friction_moved(const Hypothesis& with, const Hypothesis& without) {
   return false;
 }
 
-/// The effect as it was found, the friction from its nominal values: the friction of a model that lacks the effect has been bent to
-/// stand in for it, and a descent does not always find back.
+/// The effect as it was found, the friction from its nominal values: the friction of a model that lacks the
+/// effect has been bent to stand in for it, and a descent does not always find back.
 void from_another_friction(Candidate& candidate, const Hypothesis& hypothesis) {
   if (!candidate.fitted.possible() || !has_friction_moved(candidate.fitted, hypothesis)) return;
   Hypothesis elsewhere = hypothesis;
@@ -374,8 +374,9 @@ void from_another_friction(Candidate& candidate, const Hypothesis& hypothesis) {
   ParameterVector& theta = elsewhere.estimate.parameters.base.theta;
   theta.tail<kParameterCount - 2>() = nominal_parameters().tail<kParameterCount - 2>();
   const double wanted = candidate.fitted.log_likelihood() + kHelps_nats;
-  Hypothesis other = fitted_from({.values = candidate.fitted.estimate.parameters.effects.back()}, elsewhere, kModestTorque_Nm,
-                                 ExtendedFitOptions{}.max_iterations, Brake::Fitted, wanted);
+  Hypothesis other =
+      fitted_from({.values = candidate.fitted.estimate.parameters.effects.back()}, elsewhere,
+                  kModestTorque_Nm, ExtendedFitOptions{}.max_iterations, Brake::Fitted, wanted);
   if (other.possible() && other.log_likelihood() > wanted) candidate.fitted = std::move(other);
 }
 
@@ -462,7 +463,7 @@ void settle(Hypothesis& hypothesis) {
   // A kink can end a descent where a step promises more; but what one fit from there could not leave, the
   // next one cannot either.
   bool moves = !hypothesis.estimate.settled || hypothesis.log_likelihood() > begun + kHelps_nats;
-  for (int more = 0; moves && more < kMostMisses && hypothesis.possible(); ++more)
+  for (int more = 0; moves && more < kMaxMisses && hypothesis.possible(); ++more)
     moves = promise_of(hypothesis) > kNotEnded_nats && again([](ExtendedEstimate&) {});
   if (hypothesis.possible() && is_stuck(hypothesis))
     again([&](ExtendedEstimate& estimate) {
@@ -477,7 +478,7 @@ Hypothesis without(const Hypothesis& hypothesis, std::size_t effect, std::span<c
     refit(reduced, kRoughIterations);
     const double near_enough =
         std::min(kNearEnough * (hypothesis.log_likelihood() - reduced.log_likelihood()), kStuck_nats);
-    if (fits == kMostMisses || !reduced.possible() || is_impossible(reduced) || near_enough <= kNotEnded_nats)
+    if (fits == kMaxMisses || !reduced.possible() || is_impossible(reduced) || near_enough <= kNotEnded_nats)
       break;
     if (promise_of(reduced) < near_enough) return reduced;
   }

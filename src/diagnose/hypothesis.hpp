@@ -21,7 +21,7 @@ struct Hypothesis {
   /// all readings.
   double unused_log_likelihood = 0.0;
   double degrees = 0.0;  ///< parameters that the effects add
-  SpareThreads threads;  ///< that its fits may use
+  ThreadBudget threads;  ///< that its fits may use
 
   double log_likelihood() const { return estimate.log_likelihood + unused_log_likelihood; }
   bool possible() const { return estimate.possible; }
@@ -42,13 +42,13 @@ struct Candidate {
   double alternatives = 1.0;  ///< tried for its choices
   std::vector<Start> starts;  ///< most promising first
   double predicted_gain = 0.0;
-  double predicted_evidence = 0.0;
+  double predicted_significance_nats = 0.0;
   /// The standard deviation of its strength at its neutral value over the change that matters.
   double blindness = 0.0;
   Hypothesis fitted;
   Hypothesis twice;  ///< the same effect once more beside it, if finish() found that both are needed
   double gain = 0.0;
-  double evidence = 0.0;
+  double significance_nats = 0.0;
   bool is_fitted = false;
 
   std::string_view name() const { return info_of(*effect).name; }
@@ -57,10 +57,10 @@ struct Candidate {
 /// Fits it roughly, if it is fitted already as far as that may be better; several starts where the first does
 /// not bring what it promised.
 /// `also_afresh`: from the nominal brake as well.
-void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh);
+void fit(Candidate& candidate, const Hypothesis& hypothesis, bool also_from_nominal);
 
 /// The same with other choices of its refinements, from where fit() ended.
-void refine(Candidate& candidate, const Hypothesis& hypothesis, bool also_afresh);
+void refine(Candidate& candidate, const Hypothesis& hypothesis, bool also_from_nominal);
 
 /// Once more, from these values beside another fit of the same hypothesis.
 void fit_from(const EffectValues& values, const Hypothesis& elsewhere, const Hypothesis& hypothesis,

@@ -23,7 +23,7 @@ constexpr double kScanStep = 0.12;
 constexpr std::size_t kPeaks = 2;
 constexpr double kNeighbourhood = 0.5;
 constexpr double kFineStep = 0.025;
-constexpr std::size_t kMostPeaks = 4;
+constexpr std::size_t kMaxPeaks = 4;
 constexpr Eigen::Index kScanTogether = 64;  // orders that fit the cache
 
 constexpr double kSpikeDegrees = 2.0;
@@ -142,7 +142,7 @@ Eigen::MatrixXd waves(const Orders& orders, std::span<const double> position_rad
 
 /// What each order promises.
 std::vector<Start> scan(const Orders& orders, const Effect& effect, const SignalScorer& scorer,
-                        std::span<const FilteredRun> filtered, const SpareThreads& threads) {
+                        std::span<const FilteredRun> filtered, const ThreadBudget& threads) {
   const EffectInfo& info = info_of(effect);
   std::vector<Start> found(static_cast<std::size_t>(orders.count));
   const auto blocks = static_cast<std::size_t>((orders.count + kScanTogether - 1) / kScanTogether);
@@ -171,10 +171,10 @@ std::vector<Start> scan(const Orders& orders, const Effect& effect, const Signal
 }
 
 /// One set of values of a candidate, and what a step from there promises.
-struct Look {
+struct Screening {
   std::size_t candidate;
   EffectValues values;
-  StepForecast seen;
+  StepForecast outcome;
 };
 
 /// Whether it changes nothing as long as its free states, if it has such, are settled.
@@ -186,58 +186,61 @@ bool is_silent(const EffectValues& values) {
 }
 
 /// Those that one linearisation can tell of.
-std::vector<std::vector<Look*>> looks_together(const Hypothesis& hypothesis, std::vector<Look>& looks) {
-  std::vector<std::vector<Look*>> batches;
-  std::vector<Look*> batch;
+std::vector<std::vector<Screening*>> screenings_together(const Hypothesis& hypothesis,
+                                                         std::vector<Screening>& screenings) {
+  std::vector<std::vector<Screening*>> batches;
+  std::vector<Screening*> batch;
   std::vector<EffectValues> effects;
   const auto close = [&] {
     if (!batch.empty()) batches.push_back(std::move(batch));
     batch.clear();
     effects.clear();
   };
-  for (Look& look : looks) {
-    if (!is_silent(look.values)) {
-      batches.push_back({&look});
+  for (Screening& screening : screenings) {
+    if (!is_silent(screening.values)) {
+      batches.push_back({&screening});
       continue;
     }
-    effects.push_back(look.values);
+    effects.push_back(screening.values);
     if (!batch.empty() && !room_for(hypothesis, effects)) {
       close();
-      effects.push_back(look.values);
+      effects.push_back(screening.values);
     }
-    batch.push_back(&look);
+    batch.push_back(&screening);
   }
   close();
   return batches;
 }
 
-void take(const Hypothesis& hypothesis, const std::vector<Look*>& batch) {
+void evaluate(const Hypothesis& hypothesis, const std::vector<Screening*>& batch) {
   if (batch.size() == 1) {
-    Look& look = *batch.front();
-    look.seen = forecast(hypothesis.runs, with_effect(hypothesis.estimate, look.values), hypothesis.threads);
+    Screening& screening = *batch.front();
+    screening.outcome =
+        forecast(hypothesis.runs, with_effect(hypothesis.estimate, screening.values), hypothesis.threads);
     return;
   }
   std::vector<EffectValues> effects;
-  for (const Look* look : batch) effects.push_back(look->values);
-  std::vector<StepForecast> seen =
+  for (const Screening* screening : batch) effects.push_back(screening->values);
+  std::vector<StepForecast> outcome =
       forecast_each(hypothesis.runs, hypothesis.estimate, effects, hypothesis.threads);
-  for (std::size_t i = 0; i < batch.size(); ++i) batch[i]->seen = std::move(seen[i]);
+  for (std::size_t i = 0; i < batch.size(); ++i) batch[i]->outcome = std::move(outcome[i]);
 }
 
 /// The start that a look shows, and how well its strengths can be seen.
-void add_start(const Hypothesis& hypothesis, const Look& look, Candidate& candidate) {
-  if (look.seen.step.size() == 0) return;
+void add_start(const Hypothesis& hypothesis, const Screening& screening, Candidate& candidate) {
+  if (screening.outcome.step.size() == 0) return;
   const auto& parameters = info_of(*candidate.effect).parameters;
-  candidate.starts.push_back(start_from(*candidate.effect, look.values.values, hypothesis, look.seen));
-  if (!is_neutral(look.values)) return;
+  candidate.starts.push_back(
+      start_from(*candidate.effect, screening.values.values, hypothesis, screening.outcome));
+  if (!is_neutral(screening.values)) return;
   // Strengths come last or before shapes; of several, the worst known one counts.
-  Eigen::Index at = look.seen.sd.size();
+  Eigen::Index at = screening.outcome.sd.size();
   double blindness = 0.0;
   for (std::size_t i = parameters.size(); i-- > 0;) {
     if (!is_estimated(parameters[i])) continue;
     --at;
     if (parameters[i].role == Role::Strength)
-      blindness = std::max(blindness, look.seen.sd[at] / parameters[i].scale);
+      blindness = std::max(blindness, screening.outcome.sd[at] / parameters[i].scale);
   }
   candidate.blindness = candidate.blindness > 0.0 ? std::min(candidate.blindness, blindness) : blindness;
 }
@@ -259,8 +262,8 @@ bool is_scanned(const Effect& effect) {
 
 void predict(Candidate& candidate) {
   candidate.predicted_gain = candidate.starts.empty() ? 0.0 : candidate.starts.front().predicted_gain;
-  candidate.predicted_evidence =
-      evidence_of(candidate.predicted_gain, candidate.degrees, candidate.alternatives);
+  candidate.predicted_significance_nats =
+      significance_of(candidate.predicted_gain, candidate.degrees, candidate.alternatives);
 }
 
 void add_peaks(const Hypothesis& hypothesis, std::span<const FilteredRun> filtered, Candidate& candidate) {
@@ -290,7 +293,7 @@ void add_peaks(const Hypothesis& hypothesis, std::span<const FilteredRun> filter
         candidate.starts.push_back(fine[i]);
   }
   std::sort(candidate.starts.begin(), candidate.starts.end(), promises_more);
-  if (candidate.starts.size() > kMostPeaks) candidate.starts.resize(kMostPeaks);
+  if (candidate.starts.size() > kMaxPeaks) candidate.starts.resize(kMaxPeaks);
   // Neighbours of the grid see the same: so many of them are different questions.
   candidate.alternatives = 0.5 * static_cast<double>(all.count);
 }
@@ -305,14 +308,14 @@ bool room_for(const Hypothesis& hypothesis, std::span<const EffectValues> furthe
   std::for_each(hypothesis.estimate.parameters.effects.begin(), hypothesis.estimate.parameters.effects.end(),
                 add);
   std::for_each(further.begin(), further.end(), add);
-  return states <= ExtendedBrake::kMostStates &&
-         parameters <= static_cast<std::size_t>(ExtendedBrake::kMostParameters);
+  return states <= ExtendedBrake::kMaxStates &&
+         parameters <= static_cast<std::size_t>(ExtendedBrake::kMaxParameters);
 }
 
 std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypothesis& hypothesis,
                                std::span<const Run> recorded) {
   std::vector<Candidate> candidates(tried.size());
-  std::vector<Look> looks;
+  std::vector<Screening> screenings;
   std::vector<std::function<void()>> work;
   const std::vector<FilteredRun> filtered =
       filter_runs(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
@@ -328,13 +331,15 @@ std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypot
       work.emplace_back([&] { add_peaks(hypothesis, filtered, candidate); });
     } else {
       for (std::vector<double>& values : combinations(effect, recorded))
-        looks.push_back({i, {&effect, std::move(values)}, {}});
+        screenings.push_back({i, {&effect, std::move(values)}, {}});
     }
   }
-  const std::vector<std::vector<Look*>> together = looks_together(hypothesis, looks);
-  for (const std::vector<Look*>& batch : together) work.emplace_back([&] { take(hypothesis, batch); });
+  const std::vector<std::vector<Screening*>> together = screenings_together(hypothesis, screenings);
+  for (const std::vector<Screening*>& batch : together)
+    work.emplace_back([&] { evaluate(hypothesis, batch); });
   for_each_index(work.size(), hypothesis.threads, [&](std::size_t i) { work[i](); });
-  for (const Look& look : looks) add_start(hypothesis, look, candidates[look.candidate]);
+  for (const Screening& screening : screenings)
+    add_start(hypothesis, screening, candidates[screening.candidate]);
   for (Candidate& candidate : candidates) {
     if (candidate.is_fitted) continue;
     std::sort(candidate.starts.begin(), candidate.starts.end(),

@@ -10,10 +10,10 @@ namespace clampd::diagnosing {
 
 namespace {
 
-constexpr int kMostRounds = 8;
+constexpr int kMaxRounds = 8;
 /// Spikes stand alone; where more than this share has a neighbour, something else is wrong.
-constexpr double kMostNeighbours = 0.3;
-constexpr double kLargestShare = 0.2;
+constexpr double kMaxNeighbours = 0.3;
+constexpr double kMaxShare = 0.2;
 
 struct Spike {
   std::size_t run, row;
@@ -25,11 +25,11 @@ class SpikeSearch {
 
   bool run(std::span<const FilteredRun> first) {
     std::vector<FilteredRun> filtered;
-    for (int round = 0; round < kMostRounds; ++round) {
+    for (int round = 0; round < kMaxRounds; ++round) {
       if (round > 0) filtered = filter_runs(found_.runs, found_.estimate, found_.threads);
       const std::span<const FilteredRun> now = round > 0 ? filtered : first;
       if (now.empty() || !mark(now)) break;
-      if (static_cast<double>(spikes_.size()) > kLargestShare * readings() || !stand_alone()) return false;
+      if (static_cast<double>(spikes_.size()) > kMaxShare * readings() || !stand_alone()) return false;
       refit(found_);
       if (!found_.possible()) return false;
     }
@@ -73,7 +73,7 @@ class SpikeSearch {
       with_neighbour += std::any_of(spikes_.begin(), spikes_.end(), [&](const Spike& other) {
         return other.run == spike.run && (other.row == spike.row + 1 || other.row + 1 == spike.row);
       });
-    return static_cast<double>(with_neighbour) <= kMostNeighbours * static_cast<double>(spikes_.size());
+    return static_cast<double>(with_neighbour) <= kMaxNeighbours * static_cast<double>(spikes_.size());
   }
   double readings() const {
     double count = 0.0;
@@ -120,7 +120,8 @@ Candidate look_for_outliers(const Hypothesis& hypothesis, std::span<const Filter
     best.gain = best.predicted_gain = gain;
     best.fitted = std::move(found);
   }
-  best.evidence = best.predicted_evidence = evidence_of(best.gain, best.degrees, best.alternatives);
+  best.significance_nats = best.predicted_significance_nats =
+      significance_of(best.gain, best.degrees, best.alternatives);
   return best;
 }
 

@@ -25,9 +25,9 @@ constexpr double kCoarse = 1.0;
 /// By chance, a reading that was never held is further off where it repeats itself.
 constexpr double kHeld = 1e-3;
 /// Shapes of which less than this share is left when the parameters follow are not told from them.
-constexpr double kTold = 1e-2;
+constexpr double kIdentifiable = 1e-2;
 /// The same of directions among shapes.
-constexpr double kToldApart = 1e-3;
+constexpr double kDistinctFromZero = 1e-3;
 
 /// Chi-square with so many degrees where innovations are white.
 struct Correlation {
@@ -376,17 +376,19 @@ struct Answer {
 
 /// Only in directions that the data tell from the parameters and from each other.
 Answer gain_of(const SignalScores& scores, Eigen::Index first, Eigen::Index count) {
-  std::vector<Eigen::Index> told;
+  std::vector<Eigen::Index> identifiable;
   for (Eigen::Index i = first; i < first + count; ++i)
-    if (scores.information(i, i) > kTold * scores.alone[i] && scores.alone[i] > 0.0) told.push_back(i);
+    if (scores.information(i, i) > kIdentifiable * scores.alone[i] && scores.alone[i] > 0.0)
+      identifiable.push_back(i);
   Answer answer;
-  if (told.empty()) return answer;
-  const Eigen::MatrixXd information = scores.information(told, told);
+  if (identifiable.empty()) return answer;
+  const Eigen::MatrixXd information = scores.information(identifiable, identifiable);
   const Eigen::VectorXd scale = information.diagonal().cwiseSqrt();
   const statistics::Spectrum spectrum = statistics::spectrum_of(statistics::scaled_by(information, scale));
-  const Eigen::VectorXd along = spectrum.vectors.transpose() * scores.score(told).cwiseQuotient(scale);
+  const Eigen::VectorXd along =
+      spectrum.vectors.transpose() * scores.score(identifiable).cwiseQuotient(scale);
   for (Eigen::Index i = 0; i < along.size(); ++i) {
-    if (!(spectrum.values[i] > kToldApart)) continue;
+    if (!(spectrum.values[i] > kDistinctFromZero)) continue;
     answer.gain += 0.5 * along[i] * along[i] / spectrum.values[i];
     answer.degrees += 1.0;
   }
@@ -395,8 +397,8 @@ Answer gain_of(const SignalScores& scores, Eigen::Index first, Eigen::Index coun
 
 /// What one test or dependence says.
 struct Finding {
-  double surprise;  ///< -ln p
-  double nats;      ///< what a model of it would gain
+  double neg_log_p;  ///< -ln p
+  double nats;       ///< what a model of it would gain
 };
 
 /// The tests of the residuals as they are carried out, and what each of them found.
@@ -409,12 +411,12 @@ struct Examination {
   void add_test(std::string name, Location location, const Correlation& found, const char* passed,
                 const char* failed) {
     if (!(found.degrees > 0.0)) return;
-    const double surprise = surprise_of_chi_square(found.statistic, found.degrees);
-    const double p = p_value_of(surprise);
+    const double neg_log_p = neg_log_p_of_chi_square(found.statistic, found.degrees);
+    const double p = p_value_of(neg_log_p);
     residuals.tests.push_back({std::move(name), found.statistic, p, p < 1e-3 ? failed : passed});
-    findings.push_back({surprise, std::max(0.0, 0.5 * (found.statistic - found.degrees))});
-    if (surprise <= failed_most) return;
-    failed_most = surprise;
+    findings.push_back({neg_log_p, std::max(0.0, 0.5 * (found.statistic - found.degrees))});
+    if (neg_log_p <= failed_most) return;
+    failed_most = neg_log_p;
     residuals.hint = location;
   }
 };
@@ -473,12 +475,12 @@ void test_repeats(std::span<const FilteredRun> filtered, std::span<const FitRun>
   const LackOfFit repeats = lack_of_fit(filtered, runs);
   if (!(repeats.degrees_within > 50.0) || !(repeats.within > 0.0)) return;
   const double f = repeats.between / repeats.degrees_between / (repeats.within / repeats.degrees_within);
-  const double surprise = surprise_of_f(f, repeats.degrees_between, repeats.degrees_within);
-  examination.residuals.tests.push_back({"lack of fit against repeats", f, p_value_of(surprise),
-                                         surprise > 7.0
+  const double neg_log_p = neg_log_p_of_f(f, repeats.degrees_between, repeats.degrees_within);
+  examination.residuals.tests.push_back({"lack of fit against repeats", f, p_value_of(neg_log_p),
+                                         neg_log_p > 7.0
                                              ? "repeats miss the model in the same places"
                                              : "repeats miss the model no more alike than by chance"});
-  examination.findings.push_back({surprise, std::max(0.0, 0.5 * (f - 1.0) * repeats.degrees_between)});
+  examination.findings.push_back({neg_log_p, std::max(0.0, 0.5 * (f - 1.0) * repeats.degrees_between)});
 }
 
 /// Whether a reading's steps are coarser than its noise.
@@ -561,10 +563,10 @@ std::vector<Answer> answers_to(std::span<const Question> questions, const Hypoth
 
 }  // namespace
 
-double surprise_of_colour(std::span<const FilteredRun> runs) {
+double neg_log_p_of_colour(std::span<const FilteredRun> runs) {
   const Correlation force = correlation(runs, true, true, 1, kLags);
   const Correlation velocity = correlation(runs, false, false, 1, kLags);
-  return surprise_of_chi_square(force.statistic + velocity.statistic, force.degrees + velocity.degrees);
+  return neg_log_p_of_chi_square(force.statistic + velocity.statistic, force.degrees + velocity.degrees);
 }
 
 Residuals examine(const Hypothesis& hypothesis) {
@@ -583,12 +585,12 @@ Residuals examine(const Hypothesis& hypothesis) {
   Residuals& residuals = examination.residuals;
   const auto tried = static_cast<double>(questions.size() + examination.findings.size());
   const auto surprise_of = [&](std::size_t q) {
-    return surprise_of_chi_square(2.0 * answers[q].gain, answers[q].degrees);
+    return neg_log_p_of_chi_square(2.0 * answers[q].gain, answers[q].degrees);
   };
   // A reading that is held shows in all else, too, but comes from nothing else: it is told first.
   for (const Held& reading : held) {
-    const double surprise = surprise_of_chi_square(reading.found.statistic, reading.found.degrees);
-    const double p = p_value_of(surprise, tried);
+    const double neg_log_p = neg_log_p_of_chi_square(reading.found.statistic, reading.found.degrees);
+    const double p = p_value_of(neg_log_p, tried);
     if (p < kHeld)
       residuals.dependences.push_back({std::string(kRepetition), reading.location,
                                        0.5 * (reading.found.statistic - reading.found.degrees), p});
@@ -605,8 +607,8 @@ Residuals examine(const Hypothesis& hypothesis) {
         {questions[q].variable, questions[q].location, answers[q].gain, p_value_of(surprise_of(q), tried)});
   }
   for (const Finding& finding : examination.findings) {
-    residuals.surprise = std::max(residuals.surprise, finding.surprise - std::log(tried));
-    if (finding.surprise - std::log(tried) > 4.6) residuals.nats = std::max(residuals.nats, finding.nats);
+    residuals.neg_log_p = std::max(residuals.neg_log_p, finding.neg_log_p - std::log(tried));
+    if (finding.neg_log_p - std::log(tried) > 4.6) residuals.nats = std::max(residuals.nats, finding.nats);
   }
   return residuals;
 }

@@ -14,7 +14,7 @@ struct Residuals {
   std::vector<MisfitTest> tests;
   std::vector<Dependence> dependences;  ///< strongest first
   /// -ln p of the most surprising of all tests and dependences, their number counted.
-  double surprise = 0.0;
+  double neg_log_p = 0.0;
   /// Where to look if no dependence tells: from the test that fails most.
   std::optional<Location> hint;
   /// What a model of the strongest finding would gain, nats.
@@ -24,6 +24,6 @@ struct Residuals {
 Residuals examine(const Hypothesis& hypothesis);
 
 /// How surprising the innovations' correlation with the ones before them is, force and velocity together.
-double surprise_of_colour(std::span<const FilteredRun> runs);
+double neg_log_p_of_colour(std::span<const FilteredRun> runs);
 
 }  // namespace clampd::diagnosing

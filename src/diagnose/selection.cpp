@@ -15,8 +15,8 @@ namespace {
 
 /// Of the candidates worth a fit: no more than these, and none that promises less than this share of the
 /// best.
-constexpr std::size_t kMostFirstFits = 8;
-constexpr std::size_t kMostLaterFits = 5;
+constexpr std::size_t kMaxFirstFits = 8;
+constexpr std::size_t kMaxLaterFits = 5;
 constexpr double kPromising = 0.2;
 /// A fit may bring more than one step promises, but hardly from nothing.
 constexpr double kBelowAlarm = 3.5;
@@ -53,7 +53,7 @@ bool is_within_reach(double gain, double best, double share) {
 }
 
 double rank(const Candidate& candidate) {
-  return candidate.is_fitted && candidate.fitted.possible() ? candidate.evidence : -1e9;
+  return candidate.is_fitted && candidate.fitted.possible() ? candidate.significance_nats : -1e9;
 }
 
 void best_first(std::vector<Candidate>& candidates) {
@@ -150,7 +150,7 @@ class Selector {
   /// Alarm threshold where so many other effects are in the model already.
   double alarm(std::size_t others) const { return others == 0 ? alarm_ : alarm_ - std::log(kFurtherEffect); }
   bool is_alarm(const Candidate& candidate, std::size_t others) const {
-    return candidate.is_fitted && candidate.fitted.possible() && candidate.evidence > alarm(others);
+    return candidate.is_fitted && candidate.fitted.possible() && candidate.significance_nats > alarm(others);
   }
 
  private:
@@ -189,19 +189,19 @@ class Selector {
     for (Candidate& candidate : candidates)
       if (has(hypothesis, *candidate.effect)) keep_harmonics(hypothesis, candidate);
     std::sort(candidates.begin(), candidates.end(), [](const Candidate& a, const Candidate& b) {
-      return a.predicted_evidence > b.predicted_evidence;
+      return a.predicted_significance_nats > b.predicted_significance_nats;
     });
     return candidates;
   }
 
   std::vector<std::size_t> worth_a_fit(const std::vector<Candidate>& candidates, const FitTask& task) const {
     const std::size_t most_fits =
-        task.hypothesis.estimate.parameters.effects.empty() ? kMostFirstFits : kMostLaterFits;
-    const double best = candidates.empty() ? 0.0 : candidates.front().predicted_evidence;
+        task.hypothesis.estimate.parameters.effects.empty() ? kMaxFirstFits : kMaxLaterFits;
+    const double best = candidates.empty() ? 0.0 : candidates.front().predicted_significance_nats;
     std::vector<std::size_t> worth;
     for (std::size_t i = 0; i < candidates.size() && worth.size() < most_fits; ++i)
       if (!candidates[i].is_fitted &&
-          candidates[i].predicted_evidence > std::max(alarm_ - kBelowAlarm, kPromising * best) &&
+          candidates[i].predicted_significance_nats > std::max(alarm_ - kBelowAlarm, kPromising * best) &&
           candidates[i].predicted_gain >= kLeastPromised * task.material)
         worth.push_back(i);
     return worth;
@@ -270,7 +270,7 @@ class Selector {
     for (std::size_t i = 0; i < contest.candidates.size(); ++i) {
       const Candidate& candidate = contest.candidates[i];
       if (candidate.is_fitted && !(is_settled && contest.is_itself(candidate)) &&
-          candidate.evidence > kNearAlarm * alarm(others) &&
+          candidate.significance_nats > kNearAlarm * alarm(others) &&
           is_within_reach(candidate.gain, largest, kLeading))
         leading.push_back(i);
     }
@@ -316,15 +316,15 @@ class Selector {
 /// were tried for a candidate speaks against chance, not for another candidate; nor does it speak for another
 /// one that a candidate as good is no alarm by itself, where an effect is faint.
 std::vector<Candidate> rivals_among(const std::vector<Candidate>& candidates, std::string_view name,
-                                    double evidence, const Hypothesis& best, double alarm) {
+                                    double significance_nats, const Hypothesis& best, double alarm) {
   std::vector<Candidate> rivals;
   for (const Candidate& candidate : candidates) {
     if (candidate.name() == name || !candidate.is_fitted || !candidate.fitted.possible()) continue;
     const bool as_likely = candidate.fitted.degrees <= best.degrees &&
                            candidate.fitted.log_likelihood() > best.log_likelihood() - kClearly;
-    const bool as_evident = candidate.evidence > evidence - kClearly;
+    const bool as_evident = candidate.significance_nats > significance_nats - kClearly;
     const bool as_good = candidate.fitted.log_likelihood() > best.log_likelihood() - kAsGood_nats;
-    if (candidate.evidence > alarm ? as_likely || as_evident : as_evident && as_good)
+    if (candidate.significance_nats > alarm ? as_likely || as_evident : as_evident && as_good)
       rivals.push_back(candidate);
   }
   return rivals;
@@ -348,7 +348,8 @@ bool simplify(std::span<const Run> runs, double alarm, Selection& selection) {
         Hypothesis simpler = without(rival.fitted, other, runs);
         if (!simpler.possible()) continue;
         const double degrees = std::max(1.0, selection.chosen.degrees - simpler.degrees);
-        if (evidence_of(selection.chosen.log_likelihood() - simpler.log_likelihood(), degrees, 1.0) >= alarm)
+        if (significance_of(selection.chosen.log_likelihood() - simpler.log_likelihood(), degrees, 1.0) >=
+            alarm)
           continue;
         std::vector<Selected> left;
         for (const EffectValues& values : simpler.estimate.parameters.effects) {
@@ -358,7 +359,7 @@ bool simplify(std::span<const Run> runs, double alarm, Selection& selection) {
           const bool is_rival = before == selection.effects.end();
           left.push_back({std::string(name),
                           is_rival ? rival.gain : before->gain,
-                          is_rival ? rival.evidence : before->evidence,
+                          is_rival ? rival.significance_nats : before->significance_nats,
                           {}});
         }
         selection.chosen = std::move(simpler);
@@ -441,8 +442,8 @@ bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Sele
   const Candidate& best = candidates.front();
   if (best.name() != kSpikes && best.gain < kMaterial * formed) return false;
   selection.effects.push_back(
-      {std::string(best.name()), best.gain, best.evidence,
-       rivals_among(candidates, best.name(), best.evidence, best.fitted, selector.alarm(others))});
+      {std::string(best.name()), best.gain, best.significance_nats,
+       rivals_among(candidates, best.name(), best.significance_nats, best.fitted, selector.alarm(others))});
   selection.chosen = best.fitted;
   return true;
 }
@@ -470,9 +471,9 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
     const std::string name = selection.effects[e].name;
     const double gain = selection.chosen.log_likelihood() - reduced.log_likelihood();
     const double alarm = selector.alarm(selection.effects.size() - 1);
-    double evidence =
-        evidence_of(gain, selection.chosen.degrees - reduced.degrees, alternatives_of(name, selection));
-    if (evidence < alarm || known_strength(selection.chosen, e) < kKnown * alarm) {
+    double significance_nats =
+        significance_of(gain, selection.chosen.degrees - reduced.degrees, alternatives_of(name, selection));
+    if (significance_nats < alarm || known_strength(selection.chosen, e) < kKnown * alarm) {
       changed = true;
       selection.chosen = reduced;
       selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
@@ -483,14 +484,15 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
     const auto itself = std::find_if(candidates.begin(), candidates.end(),
                                      [&](const Candidate& candidate) { return candidate.name() == name; });
     // A fit of the same name may have ended higher than where the search came from.
-    if (itself != candidates.end() && itself->is_fitted && itself->evidence > evidence &&
+    if (itself != candidates.end() && itself->is_fitted && itself->significance_nats > significance_nats &&
         itself->fitted.possible())
-      evidence = itself->evidence;
+      significance_nats = itself->significance_nats;
     Selected& selected = selection.effects[e];
     selected.gain = gain;
-    selected.evidence = evidence;
-    selected.rivals = rivals_among(candidates, name, evidence, selection.chosen, alarm);
-    const bool exchange = !selected.rivals.empty() && selected.rivals.front().evidence > evidence;
+    selected.significance_nats = significance_nats;
+    selected.rivals = rivals_among(candidates, name, significance_nats, selection.chosen, alarm);
+    const bool exchange =
+        !selected.rivals.empty() && selected.rivals.front().significance_nats > significance_nats;
     if (exchange && exchanges++ < options.most_effects) {
       // The new one takes its place at the end; what it replaces becomes its rival.
       Candidate better = selected.rivals.front();
@@ -498,8 +500,8 @@ bool reconsider(std::span<const Run> runs, const SelectionOptions& options, Sele
       selection.chosen = better.fitted;
       selection.effects.erase(selection.effects.begin() + static_cast<std::ptrdiff_t>(e));
       selection.effects.push_back(
-          {std::string(better.name()), better.gain, better.evidence,
-           rivals_among(candidates, better.name(), better.evidence, better.fitted, alarm)});
+          {std::string(better.name()), better.gain, better.significance_nats,
+           rivals_among(candidates, better.name(), better.significance_nats, better.fitted, alarm)});
       continue;
     }
     ++e;

@@ -21,8 +21,8 @@ inline constexpr double kClearly = 5.0;
 
 struct Selected {
   std::string name;
-  double gain = 0.0;      ///< nats that the model loses without it
-  double evidence = 0.0;  ///< of that, its own alternatives counted
+  double gain = 0.0;               ///< nats that the model loses without it
+  double significance_nats = 0.0;  ///< of that, its own alternatives counted
   /// Those that do as well in its place, best first, each fitted; itself not among them.
   std::vector<Candidate> rivals;
 };

@@ -16,7 +16,7 @@ namespace clampd {
 namespace {
 
 constexpr int kSubsteps = 50;  // 20 us
-constexpr double kSubstep_s = kLargestStep_s / kSubsteps;
+constexpr double kSubstep_s = kMaxStep_s / kSubsteps;
 
 /// Of the normalised parameters; the first one yields the reported criterion.
 struct Difference {

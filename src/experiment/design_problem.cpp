@@ -177,7 +177,7 @@ bool DesignProblem::is_steady(std::span<const double> x) {
 
 bool DesignProblem::keeps_limits(BrakeState& state, double torque_Nm) const {
   for (std::size_t i = 0; i < block_samples_; ++i) {
-    state = advance(model_, state, torque_Nm, kLargestStep_s);
+    state = advance(model_, state, torque_Nm, kMaxStep_s);
     if (!is_bounded(state) || std::abs(state[1]) > speed_limit_rad_s_ ||
         model_.read(state).force_N > force_limit_N_)
       return false;
@@ -195,7 +195,7 @@ void DesignProblem::random_tail(std::mt19937_64& random, std::size_t from, std::
   BrakeState state = initial_;
   for (std::size_t block = 0; block < from; ++block)
     for (std::size_t i = 0; i < block_samples_ && is_bounded(state); ++i)
-      state = advance(model_, state, x[block] * torque_limit_Nm_, kLargestStep_s);
+      state = advance(model_, state, x[block] * torque_limit_Nm_, kMaxStep_s);
   ++simulations_;
   double previous = from > 0 ? x[from - 1] : 0.0;
   for (std::size_t block = from; block < blocks_; ++block) {

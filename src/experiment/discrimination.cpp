@@ -25,7 +25,7 @@ using Segments = std::vector<ManoeuvreSegment>;
 /// Of the limits of force and speed, what the nominal brake may use: rivals track it with errors.
 constexpr double kNominalShare = 0.9;
 constexpr double kLeastForce_N = 300.0;
-constexpr double kMostOpening_rad = 12.0;
+constexpr double kMaxOpening_rad = 12.0;
 constexpr double kLeastSwing_rad = 1e-3;
 constexpr double kShortestSegment_s = 0.01;
 /// Of the rivals while the search goes on.
@@ -152,13 +152,13 @@ class Knobs {
       if (is_hold(prototype, i)) continue;
       if (prototype[i].swing_rad > 0.0) {
         add(i, Knob::Swing, std::log(prototype[i].swing_rad), std::log(kLeastSwing_rad),
-            std::log(kMostOpening_rad), 0.3);
+            std::log(kMaxOpening_rad), 0.3);
         add(i, Knob::Torque, std::log(prototype[i].torque_Nm), std::log(0.1 * options.torque_limit_Nm),
             std::log(kNominalShare * options.torque_limit_Nm), 0.1);
       } else if (prototype[i].force_N > 0.0)
         add(i, Knob::Force, prototype[i].force_N / most_N, kLeastForce_N / most_N, 1.0, 0.15);
       else if (prototype[i].opening_rad > 0.0)
-        add(i, Knob::Opening, prototype[i].opening_rad / kMostOpening_rad, 0.02, 1.0, 0.15);
+        add(i, Knob::Opening, prototype[i].opening_rad / kMaxOpening_rad, 0.02, 1.0, 0.15);
     }
     force_scale_N_ = most_N;
   }
@@ -177,7 +177,7 @@ class Knobs {
           segment.force_N = force_scale_N_ * x[i];
           break;
         case Knob::Opening:
-          segment.opening_rad = kMostOpening_rad * x[i];
+          segment.opening_rad = kMaxOpening_rad * x[i];
           break;
         case Knob::Swing:
           segment.swing_rad = std::exp(x[i]);

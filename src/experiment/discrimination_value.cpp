@@ -19,7 +19,7 @@ constexpr double kBudget_s = 3.0;
 /// A rival that strays further does not do what the trajectory is about.
 constexpr double kTrackingLimit_N = 1500.0;
 /// Rivals that the runs so far allow do not differ by more standard deviations in one reading.
-constexpr double kLargestCredible = 8.0;
+constexpr double kMaxCredible = 8.0;
 /// Undetermined parameters stay as they are where the run does not move them either.
 constexpr double kRidge = 1e-9;
 
@@ -227,7 +227,7 @@ RivalComparison::Evidence RivalComparison::hardest(const Reference& reference, i
       if (other == truth) continue;
       const Evidence evidence = against(tracked[truth].runs, other, repeats, relinearisations);
       least.of_one = std::min(least.of_one, evidence.of_one);
-      value.credible = value.credible && evidence.largest_innovation <= kLargestCredible;
+      value.credible = value.credible && evidence.largest_innovation <= kMaxCredible;
       if (evidence.of_many >= least.of_many) continue;
       least.of_many = evidence.of_many;
       value.first = std::min(truth, other);

@@ -165,14 +165,14 @@ class Shaking {
  private:
   /// Cycles that are left for the next one, which may be a longer one, and to stop after it.
   static constexpr double kSpareCycles = 1.6;
-  static constexpr int kLongestStop = 200;
+  static constexpr int kMaxStop = 200;
   static constexpr double kVariation = 0.3;  // of the swing
   static constexpr double kGolden = 0.6180339887498949;
 
   /// Whether the place is passed if this torque acts for one row more and the brake then brakes.
   bool overshoots(const BrakeState& state, double torque_Nm) const {
     BrakeState at = advance(brake_, state, torque_Nm, kPeriod_s);
-    for (int rows = 0; rows < kLongestStop && push_ * at[1] > 0.0; ++rows) {
+    for (int rows = 0; rows < kMaxStop && push_ * at[1] > 0.0; ++rows) {
       const BrakeState next = advance(brake_, at, -push_ * torque_Nm_, kPeriod_s);
       const double part = push_ * next[1] > 0.0 ? 1.0 : at[1] / (at[1] - next[1]);
       const double reached_rad = part < 1.0 ? at[0] + 0.5 * part * kPeriod_s * at[1] : next[0];

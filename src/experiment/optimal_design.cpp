@@ -358,15 +358,15 @@ std::string_view to_string(DesignTermination termination) noexcept {
 Result<void> DesignOptions::validate() const {
   const auto positive = [](double value) { return std::isfinite(value) && value > 0.0; };
   if (block_samples < 1) return failure("a block needs at least one sample");
-  if (samples < kFewestSamples || samples > kMostSamples)
+  if (samples < kFewestSamples || samples > kMaxSamples)
     return failure(fmt::format("an experiment of {} samples is not possible; {} to {} are", samples,
-                               kFewestSamples, kMostSamples));
+                               kFewestSamples, kMaxSamples));
   if (samples % block_samples != 0)
     return failure(
         fmt::format("{} samples are not a whole number of blocks of {} samples", samples, block_samples));
-  if (samples / block_samples > kMostBlocks)
+  if (samples / block_samples > kMaxBlocks)
     return failure(fmt::format("{} blocks are too many to optimise; at most {}: take longer blocks",
-                               samples / block_samples, kMostBlocks));
+                               samples / block_samples, kMaxBlocks));
   if (!positive(limits.torque_Nm)) return failure("the torque limit must be positive");
   if (!positive(limits.force_N)) return failure("the force limit must be positive");
   if (!positive(limits.velocity_rad_s)) return failure("the speed limit must be positive");

@@ -14,12 +14,11 @@
 namespace clampd {
 namespace {
 
-constexpr std::size_t kMaximumRows = 100'000;
+constexpr std::size_t kMaxRows = 100'000;
 
 Result<void> check_shape(const Run& run) {
-  if (run.size() < 2 || run.size() > kMaximumRows)
-    return failure(
-        fmt::format("{}: a trajectory has 2 to {} rows, not {}", run.name, kMaximumRows, run.size()));
+  if (run.size() < 2 || run.size() > kMaxRows)
+    return failure(fmt::format("{}: a trajectory has 2 to {} rows, not {}", run.name, kMaxRows, run.size()));
   if (!is_driven(run))
     return failure(
         fmt::format("{}: the drive is off in all rows: that can be recorded, not tracked", run.name));

@@ -9,7 +9,7 @@ namespace clampd {
 
 namespace {
 
-constexpr double kStep_s = kLargestStep_s;
+constexpr double kStep_s = kMaxStep_s;
 
 /// Steps of the differences through an event, where no closed form of the second derivatives is kept.
 constexpr double kPositionStep_rad = 3e-6;

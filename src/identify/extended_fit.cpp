@@ -6,7 +6,6 @@
 #include <numbers>
 #include <numeric>
 
-
 #include "clampd/base/assert.hpp"
 #include "clampd/identify/prediction_error.hpp"
 #include "clampd/statistics/symmetric.hpp"
@@ -23,7 +22,7 @@ namespace {
 /// Gains and noise are renewed until the noise's standard deviations change by less than this share.
 constexpr double kExtendedNoiseTolerance = 0.01;
 constexpr double kNegligibleExtendedTorque = 1e-7;  // a variance
-constexpr int kMostRounds = 12;
+constexpr int kMaxRounds = 12;
 constexpr int kNoiseIterations = 6;
 /// After so many it is seen whether a fit is hopeless: further from where it is wanted than so many steps as
 /// the next one would take it.
@@ -38,21 +37,21 @@ double limited(double logarithmic_step) {
   return std::clamp(logarithmic_step, -0.7, 0.7);
 }
 
-/// Some of a fit's unknowns: parameters, and locals of each run.
+/// Some of a fit's unknowns: parameters, and initial_states of each run.
 struct Part {
   std::vector<Eigen::Index> parameters;
-  std::vector<int> locals;
+  std::vector<int> initial_states;
 };
 
 /// The innovations of all runs as a function of the unknowns, for ceres::TinySolver, with gains that stay as
-/// they are; as JointFit, but for any model. Unknowns: parameters, then each run's locals.
+/// they are; as JointFit, but for any model. Unknowns: parameters, then each run's initial_states.
 class ExtendedFit {
  public:
   using Scalar = double;
   enum { NUM_RESIDUALS = Eigen::Dynamic, NUM_PARAMETERS = Eigen::Dynamic };
 
   ExtendedFit(std::span<const FitRun> runs, const ExtendedEstimate& start,
-              const std::array<bool, kParameterCount>& held, const SpareThreads& threads = {},
+              const std::array<bool, kParameterCount>& held, const ThreadBudget& threads = {},
               bool hold_effects = false)
       : runs_(runs),
         threads_(threads),
@@ -61,7 +60,7 @@ class ExtendedFit {
         unknowns_(model_, shape_.places(), held, hold_effects) {
     parameters_ = unknowns_.count();
     prior_ = prior_deviations(model_);
-    locals_ = 2 + static_cast<int>(shape_.free_states().size());
+    initial_states_ = 2 + static_cast<int>(shape_.free_states().size());
     for (int local = 2; const EffectValues& effect : model_.effects) {
       const EffectInfo& info = info_of(*effect.effect);
       for (int i = 0; i < info.free_states; ++i, ++local)
@@ -72,7 +71,7 @@ class ExtendedFit {
     for (Evaluation* evaluation : {&now_, &before_}) {
       evaluation->runs.resize(runs.size());
       for (std::size_t r = 0; r < runs.size(); ++r)
-        evaluation->runs[r].resize(runs[r].size(), shape_.states(), parameters_, locals_);
+        evaluation->runs[r].resize(runs[r].size(), shape_.states(), parameters_, initial_states_);
       evaluation->normals.resize(runs.size());
     }
     invalidate();
@@ -82,19 +81,19 @@ class ExtendedFit {
                      [&](std::size_t a, std::size_t b) { return runs[a].size() > runs[b].size(); });
     starts_ = start.initial_states;
     for (std::size_t r = 0; r < runs.size(); ++r) {
-      CLAMPD_ASSERT(starts_[r].size() == locals_);
+      CLAMPD_ASSERT(starts_[r].size() == initial_states_);
       // Free states are near their settled value, wherever the search begins.
-      centres_[r].tail(locals_ - 2).setZero();
+      centres_[r].tail(initial_states_ - 2).setZero();
     }
   }
 
-  int NumParameters() const { return parameters_ + locals_ * static_cast<int>(runs_.size()); }
-  int NumResiduals() const { return (parameters_ + locals_ + 1) * static_cast<int>(runs_.size()); }
+  int NumParameters() const { return parameters_ + initial_states_ * static_cast<int>(runs_.size()); }
+  int NumResiduals() const { return (parameters_ + initial_states_ + 1) * static_cast<int>(runs_.size()); }
 
   Eigen::VectorXd start() const {
     Eigen::VectorXd point(NumParameters());
     for (int i = 0; i < parameters_; ++i) point[i] = unknowns_.from(model_, i);
-    for (std::size_t r = 0; r < runs_.size(); ++r) point.segment(local(r), locals_) = starts_[r];
+    for (std::size_t r = 0; r < runs_.size(); ++r) point.segment(local(r), initial_states_) = starts_[r];
     return point;
   }
 
@@ -105,12 +104,13 @@ class ExtendedFit {
   }
   std::vector<Eigen::VectorXd> initial_at(const Eigen::VectorXd& point) const {
     std::vector<Eigen::VectorXd> initial;
-    for (std::size_t r = 0; r < runs_.size(); ++r) initial.emplace_back(point.segment(local(r), locals_));
+    for (std::size_t r = 0; r < runs_.size(); ++r)
+      initial.emplace_back(point.segment(local(r), initial_states_));
     return initial;
   }
 
   /// The gains of extended Kalman filters at this point from here on; it is evaluated then.
-  bool renew(const Eigen::VectorXd& point, const Variances& variances) {
+  bool linearise_at(const Eigen::VectorXd& point, const Variances& variances) {
     invalidate();
     if (!linearise_at(inside(point), variances, Gains::Renewed)) return false;
     for (std::size_t r = 0; r < runs_.size(); ++r) {
@@ -152,17 +152,18 @@ class ExtendedFit {
     }
     residual_rows.setZero();
     if (jacobian == nullptr) {
-      residual_rows[0] = std::sqrt(squares());
+      residual_rows[0] = std::sqrt(sum_of_squares());
       return true;
     }
     Eigen::Map<Eigen::MatrixXd> jacobian_rows(jacobian, NumResiduals(), NumParameters());
     jacobian_rows.setZero();
-    const int size = parameters_ + locals_ + 1;
+    const int size = parameters_ + initial_states_ + 1;
     for (std::size_t r = 0; r < runs_.size(); ++r) {
       const Eigen::MatrixXd factor = semidefinite_factor(now_.normals[r]);
       const auto first = static_cast<Eigen::Index>(r) * size;
       jacobian_rows.block(first, 0, size, parameters_) = factor.leftCols(parameters_);
-      jacobian_rows.block(first, local(r), size, locals_) = factor.middleCols(parameters_, locals_);
+      jacobian_rows.block(first, local(r), size, initial_states_) =
+          factor.middleCols(parameters_, initial_states_);
       residual_rows.segment(first, size) = factor.col(size - 1);
     }
     for (const Eigen::Index i : joint_step().held) jacobian_rows.col(i).setZero();
@@ -172,18 +173,19 @@ class ExtendedFit {
   /// Whether points that are asked for their cost are mostly left again: then that is all that is computed.
   void try_out(bool mostly) { trying_ = mostly; }
 
-  double squares() const {
+  double sum_of_squares() const {
     double sum = 0.0;
     for (const Eigen::MatrixXd& normal : now_.normals) sum += normal(normal.rows() - 1, normal.cols() - 1);
     return sum;
   }
   double log_likelihood() const { return log_likelihood(everything()); }
-  /// Of the model that has only a part of the locals.
+  /// Of the model that has only a part of the initial_states.
   double log_likelihood(const Part& part) const {
-    double sum = squares();
+    double sum = sum_of_squares();
     for (const ExtendedRun& run : now_.runs)
       sum += run.log_determinant + run.readings * std::log(2.0 * std::numbers::pi);
-    for (const Eigen::MatrixXd& normal : now_.normals) sum += cost_of_drawn_states(normal, part.locals);
+    for (const Eigen::MatrixXd& normal : now_.normals)
+      sum += cost_of_drawn_states(normal, part.initial_states);
     return -0.5 * sum;
   }
   double readings() const {
@@ -193,30 +195,32 @@ class ExtendedFit {
   }
 
   /// A run's, its initial state eliminated.
-  Reduced reduced(std::size_t run) const { return without_locals(now_.normals[run], parameters_, locals_); }
+  Reduced reduced(std::size_t run) const {
+    return without_initial_states(now_.normals[run], parameters_, initial_states_);
+  }
 
   /// Of all runs.
   Reduced joint() const { return joint(everything()); }
-  /// The same if there were no other parameters and locals.
+  /// The same if there were no other parameters and initial_states.
   Reduced joint(const Part& part) const {
     const auto count = static_cast<Eigen::Index>(part.parameters.size());
     std::vector<Eigen::Index> which = part.parameters;
-    for (const int local : part.locals) which.push_back(parameters_ + local);
-    which.push_back(parameters_ + locals_);
+    for (const int local : part.initial_states) which.push_back(parameters_ + local);
+    which.push_back(parameters_ + initial_states_);
     Reduced joint{Eigen::MatrixXd::Zero(count, count), Eigen::VectorXd::Zero(count)};
     for (const Eigen::MatrixXd& normal : now_.normals) {
-      const Reduced run =
-          without_locals(normal(which, which), static_cast<int>(count), static_cast<int>(part.locals.size()));
+      const Reduced run = without_initial_states(normal(which, which), static_cast<int>(count),
+                                                 static_cast<int>(part.initial_states.size()));
       joint.information += run.information;
       joint.gradient += run.gradient;
-      joint.squares += run.squares;
+      joint.sum_of_squares += run.sum_of_squares;
     }
     return joint;
   }
   const Eigen::MatrixXd& normal(std::size_t run) const { return now_.normals[run]; }
 
-  /// Gauss-Newton step of a part's parameters within their bounds, the locals following: those at a bound
-  /// that the others would take beyond stay, and the others go where they then go.
+  /// Gauss-Newton step of a part's parameters within their bounds, the initial_states following: those at a
+  /// bound that the others would take beyond stay, and the others go where they then go.
   struct Step {
     Eigen::VectorXd move;
     std::vector<Eigen::Index> held;  ///< of the part's parameters; `move` has the way that they would go
@@ -235,9 +239,9 @@ class ExtendedFit {
     if (!step.held.empty()) {
       const Eigen::VectorXd gradient = joint.gradient(left);
       step.move(left) = -solve(joint.information(left, left), gradient);
-      step.decrease = squares() - joint.squares - gradient.dot(step.move(left));
+      step.decrease = sum_of_squares() - joint.sum_of_squares - gradient.dot(step.move(left));
     } else {
-      step.decrease = squares() - joint.squares - joint.gradient.dot(step.move);
+      step.decrease = sum_of_squares() - joint.sum_of_squares - joint.gradient.dot(step.move);
     }
     return step;
   }
@@ -256,10 +260,11 @@ class ExtendedFit {
     for (int i = 0; i < parameters_; ++i) step[i] = unknowns_.is_logarithmic(i) ? limited(move[i]) : move[i];
     for (std::size_t r = 0; r < runs_.size(); ++r) {
       const Eigen::MatrixXd& normal = now_.normals[r];
-      step.segment(local(r), locals_) =
-          -statistics::SymmetricFactor(normal.block(parameters_, parameters_, locals_, locals_))
-               .solve(normal.block(parameters_, parameters_ + locals_, locals_, 1) +
-                      normal.block(parameters_, 0, locals_, parameters_) * move);
+      step.segment(local(r), initial_states_) =
+          -statistics::SymmetricFactor(
+               normal.block(parameters_, parameters_, initial_states_, initial_states_))
+               .solve(normal.block(parameters_, parameters_ + initial_states_, initial_states_, 1) +
+                      normal.block(parameters_, 0, initial_states_, parameters_) * move);
     }
   }
 
@@ -270,7 +275,7 @@ class ExtendedFit {
       for_each_index(runs_.size(), threads_, [&](std::size_t place) {
         const std::size_t r = longest_first_[place];
         std::vector<double> innovation;
-        regain(runs_[r], variances, now_.runs[r], innovation);
+        recompute_gains(runs_[r], variances, now_.runs[r], innovation);
         parts[r] = smooth(runs_[r], now_.runs[r], innovation, nullptr);
       });
       NoiseSquares sum;
@@ -308,9 +313,9 @@ class ExtendedFit {
 
   Part everything() const {
     Part all{std::vector<Eigen::Index>(static_cast<std::size_t>(parameters_)),
-             std::vector<int>(static_cast<std::size_t>(locals_))};
+             std::vector<int>(static_cast<std::size_t>(initial_states_))};
     std::iota(all.parameters.begin(), all.parameters.end(), 0);
-    std::iota(all.locals.begin(), all.locals.end(), 0);
+    std::iota(all.initial_states.begin(), all.initial_states.end(), 0);
     return all;
   }
 
@@ -328,7 +333,9 @@ class ExtendedFit {
     bool possible = false;
   };
 
-  Eigen::Index local(std::size_t run) const { return parameters_ + locals_ * static_cast<Eigen::Index>(run); }
+  Eigen::Index local(std::size_t run) const {
+    return parameters_ + initial_states_ * static_cast<Eigen::Index>(run);
+  }
 
   void invalidate() {
     for (Evaluation* evaluation : {&now_, &before_}) {
@@ -345,7 +352,7 @@ class ExtendedFit {
     const ExtendedBrake brake(model);
     now_.possible = for_each_index_while(runs_.size(), threads_, [&](std::size_t place) {
       const std::size_t r = longest_first_[place];
-      const Eigen::VectorXd initial = point.segment(local(r), locals_);
+      const Eigen::VectorXd initial = point.segment(local(r), initial_states_);
       if (!linearise(runs_[r], brake, model, unknowns_, initial, variances, gains, now_.runs[r]))
         return false;
       compute_normal(runs_[r], now_.runs[r]);
@@ -357,52 +364,53 @@ class ExtendedFit {
     return now_.possible;
   }
 
-  /// What squares() is there.
+  /// What sum_of_squares() is there.
   double squares_at(const Eigen::VectorXd& point) const {
     constexpr double kNever = std::numeric_limits<double>::infinity();
     if (!point.allFinite()) return kNever;
     const ExtendedParameters model = model_at(point);
     const ExtendedBrake brake(model);
-    std::vector<double> squares(runs_.size());
+    std::vector<double> sum_of_squares(runs_.size());
     for_each_index(runs_.size(), threads_, [&](std::size_t place) {
       const std::size_t r = longest_first_[place];
-      const Eigen::VectorXd initial = point.segment(local(r), locals_);
-      squares[r] =
-          squares_of(runs_[r], brake, initial, now_.runs[r]) + prior_squares(prior_, initial - centres_[r]);
+      const Eigen::VectorXd initial = point.segment(local(r), initial_states_);
+      sum_of_squares[r] = sum_of_squares_of(runs_[r], brake, initial, now_.runs[r]) +
+                          prior_squares(prior_, initial - centres_[r]);
     });
-    return std::accumulate(squares.begin(), squares.end(), 0.0);
+    return std::accumulate(sum_of_squares.begin(), sum_of_squares.end(), 0.0);
   }
 
   /// Free states that no parameter pays for differ from run to run by their prior: the likelihood is its
   /// average over it (Laplace), or else each of them could follow the noise of its run for nothing.
-  double cost_of_drawn_states(const Eigen::MatrixXd& normal, const std::vector<int>& locals) const {
+  double cost_of_drawn_states(const Eigen::MatrixXd& normal, const std::vector<int>& initial_states) const {
     if (drawn_.empty()) return 0.0;
-    const auto block = normal.block(parameters_, parameters_, locals_, locals_);
+    const auto block = normal.block(parameters_, parameters_, initial_states_, initial_states_);
     std::vector<int> others;
     double cost = 0.0;
-    for (const int i : locals) {
+    for (const int i : initial_states) {
       if (std::find(drawn_.begin(), drawn_.end(), i) == drawn_.end())
         others.push_back(i);
       else
         cost += 2.0 * std::log(prior_[static_cast<std::size_t>(i)]);
     }
-    return cost + log_determinant(block(locals, locals)) - log_determinant(block(others, others));
+    return cost + log_determinant(block(initial_states, initial_states)) -
+           log_determinant(block(others, others));
   }
   static double log_determinant(const Eigen::MatrixXd& matrix) {
     return statistics::SymmetricFactor(matrix).log_determinant(1e-300);
   }
 
   std::span<const FitRun> runs_;
-  SpareThreads threads_;
+  ThreadBudget threads_;
   ExtendedParameters model_;
   ExtendedBrake shape_;
   Unknowns unknowns_;
   std::vector<Eigen::VectorXd> starts_, centres_;
   std::vector<std::size_t> longest_first_;  ///< the runs: no thread is left with one at the end
   std::vector<double> prior_;
-  std::vector<int> drawn_;  ///< those of the locals that the prior draws for each run
+  std::vector<int> drawn_;  ///< those of the initial_states that the prior draws for each run
   int parameters_ = 0;
-  int locals_ = 2;
+  int initial_states_ = 2;
   bool trying_ = false;
   mutable Evaluation now_, before_;
 };
@@ -413,13 +421,13 @@ Eigen::MatrixXd covariance_of(const ExtendedFit& fit, const ExtendedParameters& 
   Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(all, all);
   if (fit.parameters() == 0) return covariance;
   const statistics::ScaledFactor factor(joint.information);
-  if (!(factor.smallest_pivot() > 1e-10)) return Eigen::MatrixXd::Constant(all, all, std::numeric_limits<double>::quiet_NaN());
+  if (!(factor.smallest_pivot() > 1e-10))
+    return Eigen::MatrixXd::Constant(all, all, std::numeric_limits<double>::quiet_NaN());
   const Eigen::MatrixXd inverse = factor.inverse();
   for (int i = 0; i < fit.parameters(); ++i)
     for (int j = 0; j < fit.parameters(); ++j)
       covariance(fit.unknowns().parameter(i), fit.unknowns().parameter(j)) =
-          inverse(i, j) * fit.unknowns().slope(model, i) *
-          fit.unknowns().slope(model, j);
+          inverse(i, j) * fit.unknowns().slope(model, i) * fit.unknowns().slope(model, j);
   return covariance;
 }
 
@@ -542,8 +550,8 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
   Variances variances = variances_of(start.noise);
   if (options.estimate_noise)
     variances.torque = std::max(variances.torque, 4.0 * kSmallestTorque_Nm * kSmallestTorque_Nm);
-  for (int round = 0; round < kMostRounds; ++round) {
-    if (!fit.renew(point, variances)) break;
+  for (int round = 0; round < kMaxRounds; ++round) {
+    if (!fit.linearise_at(point, variances)) break;
     const double likelihood = fit.log_likelihood();
     if (likelihood > estimate.log_likelihood) {
       const double gained = likelihood - estimate.log_likelihood;
@@ -567,12 +575,12 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
             options.least_log_likelihood)
       break;
     const int left = options.max_iterations - estimate.iterations;
-    const double begun = fit.squares();
+    const double begun = fit.sum_of_squares();
     const Descent descent =
         minimise(fit, point, may_be_hopeless && round == 0 ? std::min(kHopelessIterations, left) : left);
     estimate.iterations += std::max(1, descent.iterations);
     if (!descent.possible) break;
-    const bool moved = begun - fit.squares() > minimiser::kToleranceEach * fit.NumParameters();
+    const bool moved = begun - fit.sum_of_squares() > minimiser::kToleranceEach * fit.NumParameters();
     double change = 0.0;
     if (options.estimate_noise) {
       const Variances found = fit.estimate_noise(variances, kNoiseIterations);
@@ -586,7 +594,7 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
 }
 
 ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start,
-                          const SpareThreads& threads) {
+                          const ThreadBudget& threads) {
   EstimatorOptions options;
   options.start = start;
   options.threads = threads;
@@ -639,21 +647,21 @@ ExtendedEstimate without_effect(const ExtendedEstimate& estimate, std::size_t in
 }
 
 StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-                      const SpareThreads& threads) {
+                      const ThreadBudget& threads) {
   if (!within_bounds(estimate.parameters)) return nothing_foreseen();
   ExtendedFit fit(runs, estimate, {}, threads);
-  if (!fit.renew(fit.start(), variances_of(estimate.noise))) return nothing_foreseen();
+  if (!fit.linearise_at(fit.start(), variances_of(estimate.noise))) return nothing_foreseen();
   return forecast_of(fit, estimate.parameters, fit.everything());
 }
 
 std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-                                        std::span<const EffectValues> effects, const SpareThreads& threads) {
+                                        std::span<const EffectValues> effects, const ThreadBudget& threads) {
   std::vector<StepForecast> forecasts(effects.size(), nothing_foreseen());
   ExtendedEstimate extended = estimate;
   for (const EffectValues& effect : effects) extended = with_effect(extended, effect);
   if (!within_bounds(extended.parameters)) return forecasts;
   ExtendedFit fit(runs, extended, {}, threads);
-  if (!fit.renew(fit.start(), variances_of(estimate.noise))) return forecasts;
+  if (!fit.linearise_at(fit.start(), variances_of(estimate.noise))) return forecasts;
   const ExtendedBrake brake(extended.parameters);
   const auto present = static_cast<int>(estimate.parameters.effects.size());
   Part known;
@@ -661,26 +669,26 @@ std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const Exte
     if (brake.places()[i].effect < present) known.parameters.push_back(static_cast<Eigen::Index>(i));
   int local = 2;
   for (const EffectValues& values : estimate.parameters.effects) local += info_of(*values.effect).free_states;
-  known.locals.resize(static_cast<std::size_t>(local));
-  std::iota(known.locals.begin(), known.locals.end(), 0);
+  known.initial_states.resize(static_cast<std::size_t>(local));
+  std::iota(known.initial_states.begin(), known.initial_states.end(), 0);
   for (std::size_t e = 0; e < effects.size(); ++e) {
     Part part = known;
     for (std::size_t i = 0; i < brake.places().size(); ++i)
       if (brake.places()[i].effect == present + static_cast<int>(e))
         part.parameters.push_back(static_cast<Eigen::Index>(i));
-    for (int i = 0; i < info_of(*effects[e].effect).free_states; ++i) part.locals.push_back(local++);
+    for (int i = 0; i < info_of(*effects[e].effect).free_states; ++i) part.initial_states.push_back(local++);
     forecasts[e] = forecast_of(fit, extended.parameters, part);
   }
   return forecasts;
 }
 
 Eigen::MatrixXd covariance_over_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-                                     const SpareThreads& threads) {
+                                     const ThreadBudget& threads) {
   constexpr std::size_t kFewestRuns = 5;
   constexpr double kLeastLeft = 0.05;  // of the information, without a run that tells nearly everything
   if (runs.size() < kFewestRuns || !estimate.covariance.allFinite()) return estimate.covariance;
   ExtendedFit fit(runs, estimate, {}, threads);
-  if (fit.parameters() == 0 || !fit.renew(fit.start(), variances_of(estimate.noise)))
+  if (fit.parameters() == 0 || !fit.linearise_at(fit.start(), variances_of(estimate.noise)))
     return estimate.covariance;
   const Eigen::MatrixXd information = fit.joint().information;
   const Eigen::VectorXd scale = statistics::deviations_of_diagonal(information);
@@ -712,10 +720,10 @@ Eigen::MatrixXd covariance_over_runs(std::span<const FitRun> runs, const Extende
 }
 
 std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-                                     const SpareThreads& threads) {
+                                     const ThreadBudget& threads) {
   ExtendedFit fit(runs, estimate, {}, threads);
   const Variances variances = variances_of(estimate.noise);
-  if (!fit.renew(fit.start(), variances)) return {};
+  if (!fit.linearise_at(fit.start(), variances)) return {};
   const ExtendedBrake brake(estimate.parameters);
   std::vector<FilteredRun> views(runs.size());
   for_each_index(runs.size(), threads, [&](std::size_t r) {
@@ -743,7 +751,7 @@ std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const Extende
     }
     view.log_likelihood =
         -0.5 * (squares + linear.log_determinant + linear.readings * std::log(2.0 * std::numbers::pi));
-    regain(run, variances, linear, innovation);
+    recompute_gains(run, variances, linear, innovation);
     smooth(run, linear, innovation, &view.disturbance_Nm);
     for (double& value : view.disturbance_Nm) value *= variances.torque;
     // Free of the filter's corrections: the model alone, driven by the torque as the smoother has it.
@@ -763,9 +771,9 @@ std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const Extende
 }
 
 struct SignalScorer::Filtered {
-  Filtered(std::span<const FitRun> given, const ExtendedEstimate& estimate, const SpareThreads& threads)
+  Filtered(std::span<const FitRun> given, const ExtendedEstimate& estimate, const ThreadBudget& threads)
       : runs(given), model(estimate.parameters), fit(given, estimate, {}, threads) {
-    possible = fit.renew(fit.start(), variances_of(estimate.noise));
+    possible = fit.linearise_at(fit.start(), variances_of(estimate.noise));
     if (!possible) return;
     joint = fit.joint();
     factor = statistics::ScaledFactor(joint.information, 1e-10);
@@ -780,7 +788,7 @@ struct SignalScorer::Filtered {
 };
 
 SignalScorer::SignalScorer(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-                           const SpareThreads& threads)
+                           const ThreadBudget& threads)
     : filtered_(std::make_unique<const Filtered>(runs, estimate, threads)) {}
 
 SignalScorer::~SignalScorer() = default;
@@ -805,11 +813,12 @@ SignalScores SignalScorer::score(const SignalColumns& signals, int blocks) const
     const Eigen::MatrixXd seen =
         filter_signals(filtered_->runs[r], linear, signals.kind, signals.rows[r], filtered_->model)
             .transpose();
-    const int l = linear.locals;
-    // Of parameters, locals and data with the signals; then the run's own initial state follows.
+    const int l = linear.initial_states;
+    // Of parameters, initial_states and data with the signals; then the run's own initial state follows.
     const Eigen::MatrixXd products = linear.innovations * seen;
     const Eigen::MatrixXd local_products = products.middleRows(p, l);
-    const Eigen::MatrixXd solved = statistics::SymmetricFactor(normal.block(p, p, l, l)).solve_columns(local_products);
+    const Eigen::MatrixXd solved =
+        statistics::SymmetricFactor(normal.block(p, p, l, l)).solve_columns(local_products);
     with_parameters += products.topRows(p) - normal.block(0, p, p, l) * solved;
     scores.alone += seen.colwise().squaredNorm().transpose();
     scores.score -= products.row(p + l).transpose() - solved.transpose() * normal.block(p, p + l, l, 1);

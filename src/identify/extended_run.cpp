@@ -5,7 +5,6 @@
 #include <limits>
 #include <numbers>
 
-
 #include "clampd/base/assert.hpp"
 #include "clampd/statistics/symmetric.hpp"
 
@@ -13,7 +12,7 @@ namespace clampd::identify {
 
 namespace {
 
-constexpr int kMostStates = ExtendedBrake::kMostStates;
+constexpr int kMaxStates = ExtendedBrake::kMaxStates;
 
 double reading_of(const FitRun& run, std::size_t k, int channel) {
   return channel == 0 ? run.force_N[k] : run.velocity_rad_s[k];
@@ -25,13 +24,11 @@ bool counts(const FitRun& run, std::size_t k, int channel) {
 /// Covariance of the states, with the filter's two moves.
 class Covariance {
  public:
-  explicit Covariance(int states) : n_(states) {
-    std::fill(values_, values_ + kMostStates * kMostStates, 0.0);
-  }
+  explicit Covariance(int states) : n_(states) { std::fill(values_, values_ + kMaxStates * kMaxStates, 0.0); }
 
   /// A reading: its variance; the gain comes back, and the reading's noise is `noise`.
   double correct(const double* by_state, double noise, double* gain) {
-    double cross[kMostStates];
+    double cross[kMaxStates];
     double variance = noise;
     for (int i = 0; i < n_; ++i) {
       cross[i] = 0.0;
@@ -45,25 +42,25 @@ class Covariance {
   }
 
   void advance(const double* transition, const double* torque, double torque_variance) {
-    double half[kMostStates * kMostStates];
+    double half[kMaxStates * kMaxStates];
     for (int i = 0; i < n_; ++i)
       for (int j = 0; j < n_; ++j) {
         double sum = 0.0;
         for (int l = 0; l < n_; ++l) sum += transition[i * n_ + l] * at(l, j);
-        half[i * kMostStates + j] = sum;
+        half[i * kMaxStates + j] = sum;
       }
     for (int i = 0; i < n_; ++i)
       for (int j = 0; j <= i; ++j) {
         double sum = torque_variance * torque[i] * torque[j];
-        for (int l = 0; l < n_; ++l) sum += half[i * kMostStates + l] * transition[j * n_ + l];
+        for (int l = 0; l < n_; ++l) sum += half[i * kMaxStates + l] * transition[j * n_ + l];
         at(i, j) = at(j, i) = sum;
       }
   }
 
  private:
-  double& at(int i, int j) { return values_[i * kMostStates + j]; }
+  double& at(int i, int j) { return values_[i * kMaxStates + j]; }
   int n_;
-  double values_[kMostStates * kMostStates];
+  double values_[kMaxStates * kMaxStates];
 };
 
 bool positive_by_nature(const ExtendedBrake::Place& place, const EffectParameter* parameter) {
@@ -131,7 +128,7 @@ RowInput row_input(const FitRun& run, std::size_t k) noexcept {
           run.torque_Nm[std::min(k + 1, last)],
           run.torque_Nm[std::min(k + 2, last)],
           run.time_s[k],
-          k < last ? run.time_s[k + 1] - run.time_s[k] : kLargestStep_s,
+          k < last ? run.time_s[k + 1] - run.time_s[k] : kMaxStep_s,
           run.number};
 }
 
@@ -139,7 +136,7 @@ void ExtendedRun::resize(std::size_t size, int n, int p, int l) {
   rows = size;
   states = n;
   parameters = p;
-  locals = l;
+  initial_states = l;
   const auto count = [size](int each) { return size * static_cast<std::size_t>(each); };
   transition.resize(count(n * n));
   step.resize(count(n * p));
@@ -176,26 +173,26 @@ bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedPara
   const int n = out.states;
   const int p = out.parameters;
   const int all = brake.parameters();
-  double slopes[ExtendedBrake::kMostParameters];
-  int places[ExtendedBrake::kMostParameters];
+  double slopes[ExtendedBrake::kMaxParameters];
+  int places[ExtendedBrake::kMaxParameters];
   for (int i = 0; i < p; ++i) {
     slopes[i] = unknowns.slope(model, i);
     places[i] = unknowns.parameter(i);
   }
-  double jacobian[kMostStates * (kMostStates + ExtendedBrake::kMostParameters + 2)];
+  double jacobian[kMaxStates * (kMaxStates + ExtendedBrake::kMaxParameters + 2)];
 
   ExtendedBrake::State state = brake.settled(initial[0], initial[1], row_input(run, 0), jacobian);
   std::fill(out.initial.begin(), out.initial.end(), 0.0);
   for (int i = 0; i < n; ++i) {
-    double* row = out.initial.data() + i * (p + out.locals);
+    double* row = out.initial.data() + i * (p + out.initial_states);
     for (int c = 0; c < p; ++c) row[c] = jacobian[i * (2 + all) + 2 + places[c]] * slopes[c];
     row[p] = jacobian[i * (2 + all)];
     row[p + 1] = jacobian[i * (2 + all) + 1];
   }
-  for (int f = 0; f + 2 < out.locals; ++f) {
+  for (int f = 0; f + 2 < out.initial_states; ++f) {
     const int place = brake.free_states()[static_cast<std::size_t>(f)];
     state[place] += initial[2 + f];
-    out.initial[static_cast<std::size_t>(place * (p + out.locals) + p + 2 + f)] = 1.0;
+    out.initial[static_cast<std::size_t>(place * (p + out.initial_states) + p + 2 + f)] = 1.0;
   }
 
   out.off.resize(0);
@@ -266,11 +263,11 @@ ExtendedBrake::State first_state(const FitRun& run, const ExtendedBrake& brake,
   return state;
 }
 
-double squares_of(const FitRun& run, const ExtendedBrake& brake, const Eigen::VectorXd& initial,
-                  const ExtendedRun& linearised) {
+double sum_of_squares_of(const FitRun& run, const ExtendedBrake& brake, const Eigen::VectorXd& initial,
+                         const ExtendedRun& linearised) {
   constexpr double kNever = std::numeric_limits<double>::infinity();
   const int n = linearised.states;
-  double jacobian[kMostStates * (kMostStates + ExtendedBrake::kMostParameters + 2)];
+  double jacobian[kMaxStates * (kMaxStates + ExtendedBrake::kMaxParameters + 2)];
   ExtendedBrake::State state = first_state(run, brake, initial);
   double squares = 0.0;
   if (run.torque_while_off) {
@@ -281,7 +278,7 @@ double squares_of(const FitRun& run, const ExtendedBrake& brake, const Eigen::Ve
     if (!ExtendedBrake::is_bounded(state)) return kNever;
     const RowInput row = row_input(run, k);
     const Reading reading = brake.read(state, row, jacobian);
-    double correction[kMostStates] = {};
+    double correction[kMaxStates] = {};
     for (int channel = 0; channel < 2; ++channel) {
       if (!counts(run, k, channel)) continue;
       const auto at = 2 * k + static_cast<std::size_t>(channel);
@@ -411,20 +408,22 @@ void add_prior(std::span<const double> deviations, const Eigen::VectorXd& distan
   }
 }
 
-Reduced without_locals(const Eigen::MatrixXd& normal, int parameters, int locals) {
-  const int data = parameters + locals;
-  const statistics::SymmetricFactor factor(normal.block(parameters, parameters, locals, locals));
+Reduced without_initial_states(const Eigen::MatrixXd& normal, int parameters, int initial_states) {
+  const int data = parameters + initial_states;
+  const statistics::SymmetricFactor factor(
+      normal.block(parameters, parameters, initial_states, initial_states));
   // Side by side: Eigen does not solve for no column at all, which a fit without parameters has.
-  Eigen::MatrixXd followed(locals, parameters + 1);
-  followed << normal.block(parameters, 0, locals, parameters), normal.block(parameters, data, locals, 1);
+  Eigen::MatrixXd followed(initial_states, parameters + 1);
+  followed << normal.block(parameters, 0, initial_states, parameters),
+      normal.block(parameters, data, initial_states, 1);
   const Eigen::MatrixXd taken = followed.transpose() * factor.solve_columns(followed);
   return {normal.topLeftCorner(parameters, parameters) - taken.topLeftCorner(parameters, parameters),
           normal.block(0, data, parameters, 1) - taken.topRightCorner(parameters, 1),
           normal(data, data) - taken(parameters, parameters)};
 }
 
-void regain(const FitRun& run, const Variances& variances, ExtendedRun& out,
-            std::vector<double>& innovation) {
+void recompute_gains(const FitRun& run, const Variances& variances, ExtendedRun& out,
+                     std::vector<double>& innovation) {
   const int n = out.states;
   innovation.assign(2 * out.rows, 0.0);
   Covariance covariance(n);
@@ -459,9 +458,9 @@ NoiseSquares smooth(const FitRun& run, const ExtendedRun& filtered, const std::v
                     std::vector<double>* disturbance) {
   const int n = filtered.states;
   NoiseSquares squares;
-  double adjoint[kMostStates] = {};
-  double expected[kMostStates * kMostStates] = {};
-  double work[kMostStates * kMostStates];
+  double adjoint[kMaxStates] = {};
+  double expected[kMaxStates * kMaxStates] = {};
+  double work[kMaxStates * kMaxStates];
   if (disturbance != nullptr) disturbance->assign(filtered.rows, 0.0);
   for (std::size_t k = filtered.rows; k-- > 0;) {
     if (k + 1 < filtered.rows) {
@@ -476,7 +475,7 @@ NoiseSquares smooth(const FitRun& run, const ExtendedRun& filtered, const std::v
       squares.torque += of_torque * of_torque;
       squares.torque_expected += torque_square;
       if (disturbance != nullptr) (*disturbance)[k] = of_torque;
-      double through[kMostStates];
+      double through[kMaxStates];
       for (int i = 0; i < n; ++i) {
         through[i] = 0.0;
         for (int l = 0; l < n; ++l) through[i] += transition[l * n + i] * adjoint[l];
@@ -499,7 +498,7 @@ NoiseSquares smooth(const FitRun& run, const ExtendedRun& filtered, const std::v
       const double* by_state = filtered.by_state.data() + at * static_cast<std::size_t>(n);
       const double* gain = filtered.gain.data() + at * static_cast<std::size_t>(n);
       const double inverse = 1.0 / filtered.variance[at];
-      double gained[kMostStates];  // expected * gain
+      double gained[kMaxStates];  // expected * gain
       double square = inverse;
       double smoothed = inverse * innovation[at];
       for (int i = 0; i < n; ++i) {

@@ -54,13 +54,13 @@ RowInput row_input(const FitRun& run, std::size_t k) noexcept;
 /// parameters p; readings are taken one after the other, force first. Locals: the unknowns of the run's
 /// initial state. All matrices row-major, one after the other.
 struct ExtendedRun {
-  void resize(std::size_t rows, int states, int parameters, int locals);
-  int columns() const { return parameters + locals + 1; }
+  void resize(std::size_t rows, int states, int parameters, int initial_states);
+  int columns() const { return parameters + initial_states + 1; }
 
   std::size_t rows = 0;
   int states = 0;
   int parameters = 0;
-  int locals = 0;
+  int initial_states = 0;
   std::vector<double> transition;    ///< n x n
   std::vector<double> step;          ///< n x p
   std::vector<double> torque;        ///< n, of a torque error held over the row
@@ -71,7 +71,7 @@ struct ExtendedRun {
   std::vector<double> gain;          ///< 2 x n; zero where a reading does not count
   std::vector<double> variance;      ///< 2, of the innovations
   std::vector<double> reference;     ///< n, before the row's readings are used
-  std::vector<double> initial;       ///< n x (locals + p), of the first state
+  std::vector<double> initial;       ///< n x (initial_states + p), of the first state
   Eigen::VectorXd off;  ///< [J e] of the torque while the drive was off; empty if it is not known
   /// columns x 2 rows: [J e] over the standard deviation; zero where a reading does not count.
   Eigen::MatrixXd innovations;
@@ -88,41 +88,42 @@ bool linearise(const FitRun& run, const ExtendedBrake& brake, const ExtendedPara
                const Unknowns& unknowns, const Eigen::VectorXd& initial, const Variances& variances,
                Gains gains, ExtendedRun& out);
 
-/// The state at a run's first row, with these locals.
+/// The state at a run's first row, with these initial_states.
 ExtendedBrake::State first_state(const FitRun& run, const ExtendedBrake& brake,
                                  const Eigen::VectorXd& initial);
 
 /// The innovations' squares over their variance under the gains of a run linearised before: the last element
 /// of its normal equations, without the derivatives and for a small part of the time. Infinite where the
 /// state leaves all bounds.
-double squares_of(const FitRun& run, const ExtendedBrake& brake, const Eigen::VectorXd& initial,
-                  const ExtendedRun& linearised);
+double sum_of_squares_of(const FitRun& run, const ExtendedBrake& brake, const Eigen::VectorXd& initial,
+                         const ExtendedRun& linearised);
 
 /// [J e] and its normal equations under the gains.
 void compute_normal(const FitRun& run, ExtendedRun& out);
 
-/// Of the weak prior of a run's locals: position, velocity, then the effects' free states.
+/// Of the weak prior of a run's initial_states: position, velocity, then the effects' free states.
 std::vector<double> prior_deviations(const ExtendedParameters& model);
 
-/// Adds that prior to normal equations of `parameters`, locals and the data; `distance` is the locals' from
-/// its centre.
+/// Adds that prior to normal equations of `parameters`, initial_states and the data; `distance` is the
+/// initial_states' from its centre.
 void add_prior(std::span<const double> deviations, const Eigen::VectorXd& distance, int parameters,
                Eigen::MatrixXd& normal);
 
 /// What it adds to the squares.
 double prior_squares(std::span<const double> deviations, const Eigen::VectorXd& distance);
 
-/// Normal equations of parameters and data when the locals follow.
+/// Normal equations of parameters and data when the initial_states follow.
 struct Reduced {
   Eigen::MatrixXd information;
   Eigen::VectorXd gradient;
-  double squares = 0.0;
+  double sum_of_squares = 0.0;
 };
-/// `normal` with the prior of the locals in it.
-Reduced without_locals(const Eigen::MatrixXd& normal, int parameters, int locals);
+/// `normal` with the prior of the initial_states in it.
+Reduced without_initial_states(const Eigen::MatrixXd& normal, int parameters, int initial_states);
 
 /// Rows as they are, gains for these variances; the innovations themselves into `innovation` (2 a row).
-void regain(const FitRun& run, const Variances& variances, ExtendedRun& out, std::vector<double>& innovation);
+void recompute_gains(const FitRun& run, const Variances& variances, ExtendedRun& out,
+                     std::vector<double>& innovation);
 
 /// What the disturbance smoother says: the square of each noise's estimate over its expected square, summed
 /// over the rows, in units of the inverse variances.

@@ -207,7 +207,7 @@ bool JointFit::operator()(const double* unknowns, double* residuals, double* jac
   }
   if (jacobian == nullptr) {
     residual_rows.setZero();
-    residual_rows[0] = std::sqrt(squares());
+    residual_rows[0] = std::sqrt(sum_of_squares());
     return true;
   }
   Eigen::Map<Eigen::MatrixXd> jacobian_rows(jacobian, NumResiduals(), NumParameters());
@@ -232,14 +232,14 @@ bool JointFit::operator()(const double* unknowns, double* residuals, double* jac
   return true;
 }
 
-double JointFit::squares() const {
+double JointFit::sum_of_squares() const {
   double sum = 0.0;
   for (const Normal& normal : now_.normals) sum += normal(kDataColumn, kDataColumn);
   return sum;
 }
 
 double JointFit::log_likelihood() const {
-  double sum = squares();
+  double sum = sum_of_squares();
   for (const LinearRun& run : now_.linear) {
     sum += 2.0 * std::log(2.0 * std::numbers::pi) * static_cast<double>(run.rows.size());
     for (const RowGain& gain : run.gains) sum -= std::log(gain.weight.determinant());
@@ -249,7 +249,7 @@ double JointFit::log_likelihood() const {
 
 double JointFit::expected_decrease() const {
   const JointNormal joint = joint_normal(options_.held);
-  return squares() - joint.squares - joint.gradient.dot(step_to_minimum(joint));
+  return sum_of_squares() - joint.sum_of_squares - joint.gradient.dot(step_to_minimum(joint));
 }
 
 void JointFit::gauss_newton_step(Eigen::VectorXd& step) const {

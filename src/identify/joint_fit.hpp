@@ -75,9 +75,9 @@ class JointFit {
   bool evaluate(const Eigen::VectorXd& unknowns) const;
 
   /// Of the last evaluated point.
-  double squares() const;
+  double sum_of_squares() const;
   double log_likelihood() const;
-  /// By how much a Gauss-Newton step would lower squares().
+  /// By how much a Gauss-Newton step would lower sum_of_squares().
   double expected_decrease() const;
   /// That step, into NumParameters() rows.
   void gauss_newton_step(Eigen::VectorXd& step) const;

@@ -33,7 +33,7 @@ JointNormal eliminate_initial_states(std::span<const Normal> normals, const Held
         normal.topLeftCorner<kTheta, kTheta>() - coefficients * normal.block<2, kTheta>(kTheta, 0);
     joint.gradient += normal.block<kTheta, 1>(0, kDataColumn) - coefficients * initial;
     const Eigen::Matrix2d block = normal.block<2, 2>(kTheta, kTheta);
-    joint.squares += normal(kDataColumn, kDataColumn) - initial.dot(block.inverse() * initial);
+    joint.sum_of_squares += normal(kDataColumn, kDataColumn) - initial.dot(block.inverse() * initial);
     joint.log_determinant += std::log(block.determinant());
   }
   for (int i = 0; i < kTheta; ++i) {

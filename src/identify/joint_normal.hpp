@@ -18,11 +18,12 @@ void add_initial_state_prior(const Eigen::Vector2d& distance, Normal& normal) no
 struct JointNormal {
   ParameterMatrix information = ParameterMatrix::Zero();  ///< unit rows and columns for held parameters
   ParameterVector gradient = ParameterVector::Zero();     ///< zero for held parameters
-  double squares = 0.0;                                   ///< weighted, initial states at their optimum
+  double sum_of_squares = 0.0;                            ///< weighted, initial states at their optimum
   double log_determinant = 0.0;                           ///< of all initial states' information
 };
 
-/// The step of the parameters to the minimum of their normal equations. Allocates nothing: a search calls it at every point.
+/// The step of the parameters to the minimum of their normal equations. Allocates nothing: a search calls it
+/// at every point.
 ParameterVector step_to_minimum(const JointNormal& joint) noexcept;
 
 /// `normals` with the prior of the initial states in them.

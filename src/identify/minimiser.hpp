@@ -59,9 +59,9 @@ struct Descent {
 };
 
 /// Minimises a fit from `unknowns` by ceres::TinySolver, whose functor the fit is; besides, it tells
-/// squares(), expected_decrease() and gauss_newton_step() at the point evaluated last; if it has a try_out(),
-/// that says whether most points will be left again; if it has an inside(), that is where the unknowns stay;
-/// if it has a stay_near(), it is told where each solve begins.
+/// sum_of_squares(), expected_decrease() and gauss_newton_step() at the point evaluated last; if it has a
+/// try_out(), that says whether most points will be left again; if it has an inside(), that is where the
+/// unknowns stay; if it has a stay_near(), it is told where each solve begins.
 template <class Fit>
 class MinimiserOf {
  public:
@@ -90,7 +90,7 @@ Descent MinimiserOf<Fit>::descend(Fit& fit, Eigen::VectorXd& unknowns, int max_i
     descent.settled =
         expected < tolerance || (stalled && expected < minimiser::kNearTheEndEach * fit.NumParameters());
     if (descent.settled) break;
-    const double before = fit.squares();
+    const double before = fit.sum_of_squares();
     // One step, and only if that fails the solver's own search for a shorter one.
     const int steps =
         std::min(stalled ? minimiser::kRoundIterations : 1, max_iterations - descent.iterations);
@@ -103,7 +103,7 @@ Descent MinimiserOf<Fit>::descend(Fit& fit, Eigen::VectorXd& unknowns, int max_i
     descent.iterations += std::clamp(solver_.summary.iterations, 1, steps);
     descent.possible = fit.evaluate(unknowns);
     const bool stuck = stalled;
-    stalled = !(before - fit.squares() > 0.1 * std::min(expected, 1.0));
+    stalled = !(before - fit.sum_of_squares() > 0.1 * std::min(expected, 1.0));
     has_stalled = has_stalled || stalled;
     if (stuck && stalled) {
       descent.settled = descent.at_kink = true;
@@ -121,12 +121,12 @@ Descent MinimiserOf<Fit>::operator()(Fit& fit, Eigen::VectorXd& unknowns, int ma
   if (kinks_ == Kinks::Accept) return descent;
   // A kink can be a minimum of its own with a lower one close behind it: look there.
   for (double leap = minimiser::kFirstLeap; descent.at_kink && leap <= minimiser::kLastLeap; leap *= 2.0) {
-    const double reached = fit.squares();
+    const double reached = fit.sum_of_squares();
     fit.gauss_newton_step(beyond_);
     beyond_ = unknowns + leap * beyond_;
     const Descent other = descend(fit, beyond_, minimiser::kLeapIterations);
     descent.iterations += other.iterations;
-    if (other.possible && fit.squares() < reached - minimiser::kToleranceEach * fit.NumParameters()) {
+    if (other.possible && fit.sum_of_squares() < reached - minimiser::kToleranceEach * fit.NumParameters()) {
       unknowns = beyond_;
       descent.at_kink = other.at_kink;
       leap = 0.5 * minimiser::kFirstLeap;

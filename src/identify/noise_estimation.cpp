@@ -4,7 +4,6 @@
 #include <array>
 #include <cmath>
 
-
 #include "clampd/statistics/symmetric.hpp"
 #include "src/identify/starting_point.hpp"
 
@@ -19,7 +18,7 @@ constexpr double kDecrementEach = 1e-2;
 /// A whole step that promised no more than this many times as much is the last one: scoring converges fast.
 constexpr double kLastStep = 5.0;
 
-constexpr int kMostHalvings = 6;
+constexpr int kMaxHalvings = 6;
 
 /// A faint pull of the torque's variance away from zero, as by a prior proportional to its power: where the
 /// data hardly tell it, the likelihood's maximum is at zero in half of all cases, and the parameters'
@@ -69,7 +68,7 @@ double restricted_likelihood(std::span<LinearRun> runs, std::span<const ReadingW
   const JointNormal joint = eliminate_initial_states(normals, held);
   const statistics::SymmetricFactor factor(joint.information);
   // A direction that the runs do not show has no pivot; it then shows in no variance either.
-  return 0.5 * (sum + joint.log_determinant + factor.log_determinant(1e-12) + joint.squares -
+  return 0.5 * (sum + joint.log_determinant + factor.log_determinant(1e-12) + joint.sum_of_squares -
                 joint.gradient.dot(factor.solve(joint.gradient)));
 }
 
@@ -213,7 +212,7 @@ double minimise(RestrictedLikelihood& likelihood, const std::array<bool, 3>& fix
     const double promised = direction.dot(right);
     if (promised < tolerance) break;
     double length = 1.0;
-    for (int halving = 0; halving < kMostHalvings; ++halving, length *= 0.5) {
+    for (int halving = 0; halving < kMaxHalvings; ++halving, length *= 0.5) {
       Eigen::Vector3d next = values;
       for (int i = 0; i < 3; ++i) {
         if (!free[i]) continue;

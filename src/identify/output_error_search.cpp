@@ -31,7 +31,7 @@ constexpr int kSmoothingRounds = 3;
 constexpr int kSmoothingIterations = 10;
 
 /// More torque noise than any drive has: a wrong minimum taken for noise.
-constexpr double kLargestTorque_Nm = 0.1;
+constexpr double kMaxTorqueNoise_Nm = 0.1;
 
 /// A gain in weighted squares, as of a step of one standard deviation, that the slopes promise at the end of
 /// a search: a kink with a lower minimum behind it.
@@ -78,7 +78,8 @@ OutputErrorAttempt OutputErrorSearch::attempt(const ParameterVector& theta) {
     const double share = 1.0 / std::max(1, round - kOutputErrorUndampedRounds);
     const double change = share * std::max(std::abs(found.force / result.weights.force - 1.0),
                                            std::abs(found.velocity / result.weights.velocity - 1.0));
-    result.settled = descent.settled && change < kOutputErrorNoiseTolerance && reweighted < kOutputErrorWeightTolerance;
+    result.settled =
+        descent.settled && change < kOutputErrorNoiseTolerance && reweighted < kOutputErrorWeightTolerance;
     if (result.settled) break;
     // Where the model does not fit, weights and parameters can chase each other: then in ever smaller steps.
     result.weights.force *= std::pow(found.force / result.weights.force, share);
@@ -124,7 +125,7 @@ bool OutputErrorSearch::poor(OutputErrorAttempt& attempt) {
   if (plausible({squares[0], squares[1], 0.0}) && fit.white()) return false;
   const NoiseFit& noise = noise_at(attempt);
   return !(noise.white && plausible(noise.variances) &&
-           noise.variances.torque < kLargestTorque_Nm * kLargestTorque_Nm);
+           noise.variances.torque < kMaxTorqueNoise_Nm * kMaxTorqueNoise_Nm);
 }
 
 ParameterVector OutputErrorSearch::filtered_start(const ParameterVector& theta) {

@@ -17,25 +17,25 @@ ParameterScores score_parameters(std::span<const FitRun> runs, const ExtendedEst
   const Unknowns unknowns(estimate.parameters, brake.places(), {}, false);
   const int p = unknowns.count();
   const std::vector<double> prior = prior_deviations(estimate.parameters);
-  const int locals = static_cast<int>(prior.size());
+  const int initial_states = static_cast<int>(prior.size());
   scores.gradient.setZero(p);
   scores.information.setZero(p, p);
   ExtendedRun linear;
   for (std::size_t r = 0; r < runs.size(); ++r) {
-    linear.resize(runs[r].size(), brake.states(), p, locals);
+    linear.resize(runs[r].size(), brake.states(), p, initial_states);
     if (!linearise(runs[r], brake, estimate.parameters, unknowns, estimate.initial_states[r],
                    variances_of(estimate.noise), Gains::Renewed, linear))
       return scores;
     compute_normal(runs[r], linear);
     if (!linear.normal.allFinite()) return scores;
     scores.largest_innovation =
-        std::max(scores.largest_innovation, linear.innovations.row(p + locals).cwiseAbs().maxCoeff());
+        std::max(scores.largest_innovation, linear.innovations.row(p + initial_states).cwiseAbs().maxCoeff());
     // What the initial state may answer, within its prior, does not count.
-    add_prior(prior, Eigen::VectorXd::Zero(locals), p, linear.normal);
-    const Reduced reduced = without_locals(linear.normal, p, locals);
+    add_prior(prior, Eigen::VectorXd::Zero(initial_states), p, linear.normal);
+    const Reduced reduced = without_initial_states(linear.normal, p, initial_states);
     scores.information += reduced.information;
     scores.gradient -= reduced.gradient;
-    scores.half_squares += 0.5 * reduced.squares;
+    scores.half_squares += 0.5 * reduced.sum_of_squares;
   }
   Eigen::VectorXd slope(p);
   for (int i = 0; i < p; ++i) slope[i] = unknowns.slope(estimate.parameters, i);

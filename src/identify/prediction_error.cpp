@@ -21,8 +21,8 @@ constexpr double kPredictionErrorNoiseTolerance = 0.02;
 constexpr double kNegligibleTorque = 1e-8;  // a variance: lost in the noise of the readings
 constexpr double kPredictionErrorWeightTolerance = 0.02;
 constexpr int kPredictionErrorUndampedRounds = 3;
-constexpr double kMostTorque_Nm = 0.03;  // twice the paper's
-constexpr int kMostRounds = 20;
+constexpr double kMaxBelievedTorqueNoise_Nm = 0.03;  // twice the paper's
+constexpr int kMaxRounds = 20;
 
 /// Two ends of a search are the same place if their likelihoods differ by less (nats): what settling leaves
 /// open.
@@ -34,7 +34,7 @@ struct Attempt {
   Variances variances;
   double criterion = std::numeric_limits<double>::infinity();  ///< minus the restricted log-likelihood
   bool settled = false;
-  bool white = false;  ///< the innovations
+  bool white = false;          ///< the innovations
   double torque_spread = 0.0;  ///< as in NoiseFit
 };
 
@@ -52,7 +52,7 @@ class PredictionErrorSearch {
   /// neither knows of the other, so few rounds suffice.
   Attempt attempt(const Eigen::VectorXd& start, const Variances& noise) {
     Attempt result{start, noise};
-    for (int round = 0; round < kMostRounds && !result.settled; ++round) {
+    for (int round = 0; round < kMaxRounds && !result.settled; ++round) {
       if (!fit_.use_innovations(result.unknowns, result.variances)) return result;
       const Descent descent = minimise_(fit_, result.unknowns, options_.max_iterations);
       iterations_ += descent.iterations;
@@ -67,7 +67,8 @@ class PredictionErrorSearch {
       result.white = found.white;
       result.torque_spread = found.torque_spread;
       result.settled = descent.settled && reweighted < kPredictionErrorWeightTolerance &&
-                       change_between(result.variances, found.variances, kNegligibleTorque) < kPredictionErrorNoiseTolerance;
+                       change_between(result.variances, found.variances, kNegligibleTorque) <
+                           kPredictionErrorNoiseTolerance;
       // Kinks of the filter can make the two answer each other for ever: then in ever smaller steps.
       const double share = 1.0 / std::max(1, round - kPredictionErrorUndampedRounds);
       const auto towards = [&](double from, double to) { return from * std::pow(to / from, share); };
@@ -143,7 +144,8 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
     if (std::isfinite(thorough.score)) {
       const Variances noise = output_errors.noise_at(thorough).variances;
       // With more, the model does not follow the brake there either.
-      if (noise.torque < kMostTorque_Nm * kMostTorque_Nm) consider(search.attempt(thorough.unknowns, noise));
+      if (noise.torque < kMaxBelievedTorqueNoise_Nm * kMaxBelievedTorqueNoise_Nm)
+        consider(search.attempt(thorough.unknowns, noise));
     }
   }
   if (std::isfinite(best.criterion) && has_vanished(fit.theta_of(best.unknowns), options.held)) {

@@ -73,7 +73,7 @@ class ProfiledCost {
     held_.forget();
     const Descent descent = minimise_(held_, fit.unknowns, options_.max_iterations);
     fit.settled = descent.possible && descent.settled;
-    if (descent.possible) fit.cost = held_.squares();
+    if (descent.possible) fit.cost = held_.sum_of_squares();
     return fit;
   }
 
@@ -126,7 +126,7 @@ class ProfiledCost {
     Minimiser minimise(free, Minimiser::Kinks::LookBeyond);
     const Descent descent = minimise(free, unknowns, options_.max_iterations);
     if (!descent.possible) return;
-    lowest_ = free.squares();
+    lowest_ = free.sum_of_squares();
     const ParameterMatrix own = cramer_rao(free.joint_normal(options_.held).information);
     reported_over_own_ = estimate_.covariance_normalised(index_, index_) / own(index_, index_);
     // d unknown / d value: logarithms of the parameters, but for k1; the initial states follow at once

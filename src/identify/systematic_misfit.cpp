@@ -35,9 +35,9 @@ std::optional<RepeatView> view_of(const FitRun& run, const ExtendedParameters& m
   const Unknowns unknowns(model, brake.places(), held, false);
   const int p = unknowns.count();
   const std::vector<double> prior = prior_deviations(model);
-  const auto locals = static_cast<int>(prior.size());
+  const auto initial_states = static_cast<int>(prior.size());
   ExtendedRun linear;
-  linear.resize(run.size(), brake.states(), p, locals);
+  linear.resize(run.size(), brake.states(), p, initial_states);
   if (!linearise(run, brake, model, unknowns, initial, variances_of(noise), Gains::Renewed, linear))
     return std::nullopt;
   compute_normal(run, linear);
@@ -48,10 +48,10 @@ std::optional<RepeatView> view_of(const FitRun& run, const ExtendedParameters& m
   all.topRows(p) = linear.innovations.topRows(p);
   all.row(p) = filter_signals(run, linear, SignalColumns::Kind::ForceReading, ones, model);
   all.row(p + 1) = filter_signals(run, linear, SignalColumns::Kind::VelocityReading, ones, model);
-  all.row(p + 2) = linear.innovations.row(p + locals);
-  const Eigen::MatrixXd of_start = linear.innovations.middleRows(p, locals);
+  all.row(p + 2) = linear.innovations.row(p + initial_states);
+  const Eigen::MatrixXd of_start = linear.innovations.middleRows(p, initial_states);
   Eigen::MatrixXd normal = of_start * of_start.transpose();
-  for (int i = 0; i < locals; ++i)
+  for (int i = 0; i < initial_states; ++i)
     normal(i, i) += 1.0 / (prior[static_cast<std::size_t>(i)] * prior[static_cast<std::size_t>(i)]);
   all -= (all * of_start.transpose()) * statistics::SymmetricFactor(normal).solve_columns(of_start);
   RepeatView view;

@@ -50,7 +50,7 @@ Result<void> check_runs(std::span<const Run> runs) {
         return failure(
             fmt::format("run {}: from {} s to {} s time does not increase or leaps by more than {} s; split "
                         "the run there",
-                        run.name, run.time_s[k - 1], run.time_s[k], kLongestGap_s));
+                        run.name, run.time_s[k - 1], run.time_s[k], kMaxGap_s));
   }
   return {};
 }

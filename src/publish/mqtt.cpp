@@ -41,9 +41,9 @@ class MqttChannel final : public Channel {
   explicit MqttChannel(MqttSettings settings) : settings_(std::move(settings)) {}
   ~MqttChannel() override { close(); }
 
-  Result<void> connect(const ConnectionContext& context, const Bell& bell) override {
+  Result<void> connect(const ConnectionContext& context, const WakeEvent& wake) override {
     close();
-    if (Result<void> there = reachable(settings_.host, settings_.port, bell); !there)
+    if (Result<void> there = reachable(settings_.host, settings_.port, wake); !there)
       return failure("MQTT: " + there.error().message + " ([mqtt] host, port)");
     client_.reset(mosquitto_new(settings_.client_id.c_str(), true, this));
     if (client_ == nullptr) return failure(fmt::format("MQTT: no client: {}", std::strerror(errno)));
@@ -67,7 +67,7 @@ class MqttChannel final : public Channel {
     if (Result<void> prepared = prepare(context); !prepared) return prepared;
     const int called = mosquitto_connect(client_.get(), settings_.host.c_str(), settings_.port, kKeepAlive_s);
     if (called != MOSQ_ERR_SUCCESS) return broken(called);
-    if (Result<void> answer = wait_for([this] { return answered_; }, bell); !answer) return answer;
+    if (Result<void> answer = wait_for([this] { return answered_; }, wake); !answer) return answer;
     if (refusal_ != 0)
       return failure(
           fmt::format("MQTT: the broker at {}:{} refuses the station: {} ([mqtt] user, password_file, "
@@ -80,7 +80,7 @@ class MqttChannel final : public Channel {
     return be_born();
   }
 
-  Result<void> send(const Publication& publication, const Bell& bell) override {
+  Result<void> send(const Publication& publication, const WakeEvent& wake) override {
     if (node_) {
       if (!node_->born(publication.record)) {
         node_->admit(publication.record);
@@ -95,11 +95,11 @@ class MqttChannel final : public Channel {
     const Result<int> message = publish(
         settings_.topic, publication_document(publication.record, publication.sequence), kAtLeastOnce);
     if (!message) return tl::unexpected(message.error());
-    return wait_for([&] { return acknowledged_ == *message; }, bell);
+    return wait_for([&] { return acknowledged_ == *message; }, wake);
   }
 
-  Result<void> attend(const Bell& bell, std::chrono::milliseconds longest) override {
-    if (Result<void> served = serve(longest, bell.descriptor()); !served) return served;
+  Result<void> attend(const WakeEvent& wake, std::chrono::milliseconds longest) override {
+    if (Result<void> served = serve(longest, wake.descriptor()); !served) return served;
     if (!std::exchange(rebirth_, false) || !node_) return {};
     return be_born();
   }
@@ -171,10 +171,10 @@ class MqttChannel final : public Channel {
   }
 
   template <class Condition>
-  Result<void> wait_for(Condition condition, const Bell& bell) {
+  Result<void> wait_for(Condition condition, const WakeEvent& wake) {
     const auto until = Clock::now() + kPatience;
     while (!condition()) {
-      if (bell.stopped()) return failure("MQTT: the station ends");
+      if (wake.stopped()) return failure("MQTT: the station ends");
       if (Clock::now() > until)
         return failure(fmt::format("MQTT: the broker at {}:{} did not acknowledge within {} s",
                                    settings_.host, settings_.port, kPatience.count()));

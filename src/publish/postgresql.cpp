@@ -117,10 +117,10 @@ class PostgresqlChannel final : public Channel {
  public:
   explicit PostgresqlChannel(PostgresqlSettings settings) : settings_(std::move(settings)) {}
 
-  Result<void> connect(const ConnectionContext&, const Bell& bell) override {
+  Result<void> connect(const ConnectionContext&, const WakeEvent& wake) override {
     close();
     if (settings_.host.rfind('/', 0) != 0)
-      if (Result<void> there = reachable(settings_.host, settings_.port, bell); !there)
+      if (Result<void> there = reachable(settings_.host, settings_.port, wake); !there)
         return failure("PostgreSQL: " + there.error().message + " ([postgresql] host, port)");
     const Result<std::string> password = read_password(settings_.password_file);
     if (!password)
@@ -134,7 +134,7 @@ class PostgresqlChannel final : public Channel {
     });
   }
 
-  Result<void> send(const Publication& publication, const Bell&) override {
+  Result<void> send(const Publication& publication, const WakeEvent&) override {
     const std::string document = publication_document(publication.record, publication.sequence);
     return guarded([&] {
       pqxx::work transaction(*connection_);
@@ -144,9 +144,9 @@ class PostgresqlChannel final : public Channel {
     });
   }
 
-  Result<void> attend(const Bell& bell, std::chrono::milliseconds longest) override {
+  Result<void> attend(const WakeEvent& wake, std::chrono::milliseconds longest) override {
     return guarded([&] {
-      pollfd descriptors[]{{connection_->sock(), POLLIN, 0}, {bell.descriptor(), POLLIN, 0}};
+      pollfd descriptors[]{{connection_->sock(), POLLIN, 0}, {wake.descriptor(), POLLIN, 0}};
       if (::poll(descriptors, 2, static_cast<int>(longest.count())) > 0 && descriptors[0].revents != 0)
         connection_->get_notifs();  // an idle server has one thing to say: that it goes
     });

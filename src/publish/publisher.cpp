@@ -15,7 +15,7 @@ Publisher::Publisher(PublisherOptions options, std::unique_ptr<Channel> channel)
       thread_([this] { run(); }) {}
 
 Publisher::~Publisher() {
-  bell_.stop();
+  wake_.stop();
   thread_.join();
 }
 
@@ -36,16 +36,16 @@ void Publisher::tell(PublisherStatus status) {
 }
 
 void Publisher::run() {
-  while (!bell_.stopped()) {
+  while (!wake_.stopped()) {
     const Result<void> done = work();
-    if (done || bell_.stopped()) continue;
+    if (done || wake_.stopped()) continue;
     way_->close();
     connected_since_.clear();
     tell({false, done.error().message, ""});
     const auto until = std::chrono::steady_clock::now() + backoff_.next();
-    for (auto now = std::chrono::steady_clock::now(); now < until && !bell_.stopped();
+    for (auto now = std::chrono::steady_clock::now(); now < until && !wake_.stopped();
          now = std::chrono::steady_clock::now())
-      bell_.wait(std::chrono::ceil<std::chrono::milliseconds>(until - now));
+      wake_.wait(std::chrono::ceil<std::chrono::milliseconds>(until - now));
   }
   way_->close();
 }
@@ -62,8 +62,8 @@ Result<void> Publisher::work() {
   Result<std::optional<OutboxEntry>> next = store_->next_in_outbox(options_.channel);
   if (!next) return tl::unexpected(next.error());
   if (!*next) {
-    Result<void> attended = way_->attend(bell_, 1s);
-    bell_.silence();
+    Result<void> attended = way_->attend(wake_, 1s);
+    wake_.silence();
     if (attended) backoff_.reset();
     return attended;
   }
@@ -71,7 +71,7 @@ Result<void> Publisher::work() {
   const Result<CheckRecord> record = store_->load_result(entry.check_id);
   if (!record) return tl::unexpected(record.error());
   const bool late = entry.queued < connected_since_;
-  if (Result<void> sent = way_->send({*record, entry.sequence, late}, bell_); !sent) return sent;
+  if (Result<void> sent = way_->send({*record, entry.sequence, late}, wake_); !sent) return sent;
   acknowledged_ = std::move(**next);
   return settle();
 }
@@ -85,7 +85,7 @@ Result<void> Publisher::connect() {
   if (!latest) return tl::unexpected(latest.error());
   if (!latest->empty()) context.latest = std::move(latest->front());
   std::string now = format_utc(utc_now_ns());
-  if (Result<void> connected = way_->connect(context, bell_); !connected) return connected;
+  if (Result<void> connected = way_->connect(context, wake_); !connected) return connected;
   connected_since_ = std::move(now);
   tell({true, "", ""});
   return {};

@@ -30,13 +30,13 @@ class Socket {
 };
 
 /// 0, or an errno.
-int try_address(const addrinfo& address, const Bell& bell, std::chrono::milliseconds longest) {
+int try_address(const addrinfo& address, const WakeEvent& wake, std::chrono::milliseconds longest) {
   const Socket socket(address);
   if (socket.descriptor() < 0) return errno;
   if (::connect(socket.descriptor(), address.ai_addr, address.ai_addrlen) == 0) return 0;
   if (errno != EINPROGRESS) return errno;
   constexpr std::chrono::milliseconds kSlice(100);
-  for (auto waited = std::chrono::milliseconds(0); waited < longest && !bell.stopped(); waited += kSlice) {
+  for (auto waited = std::chrono::milliseconds(0); waited < longest && !wake.stopped(); waited += kSlice) {
     pollfd writable{socket.descriptor(), POLLOUT, 0};
     if (::poll(&writable, 1, static_cast<int>(kSlice.count())) <= 0) continue;
     int error = 0;
@@ -48,7 +48,7 @@ int try_address(const addrinfo& address, const Bell& bell, std::chrono::millisec
 
 }  // namespace
 
-Result<void> reachable(const std::string& host, int port, const Bell& bell,
+Result<void> reachable(const std::string& host, int port, const WakeEvent& wake,
                        std::chrono::milliseconds longest) {
   addrinfo hints{};
   hints.ai_family = AF_UNSPEC;
@@ -60,8 +60,8 @@ Result<void> reachable(const std::string& host, int port, const Bell& bell,
                                host, ::gai_strerror(unknown)));
   const std::unique_ptr<addrinfo, decltype(&::freeaddrinfo)> addresses(found, &::freeaddrinfo);
   int error = 0;
-  for (const addrinfo* address = found; address != nullptr && !bell.stopped(); address = address->ai_next) {
-    error = try_address(*address, bell, longest);
+  for (const addrinfo* address = found; address != nullptr && !wake.stopped(); address = address->ai_next) {
+    error = try_address(*address, wake, longest);
     if (error == 0) return {};
   }
   if (error == ECONNREFUSED)

@@ -15,7 +15,7 @@
 namespace clampd {
 namespace {
 
-constexpr std::size_t kLargestFile_bytes = std::size_t{256} << 20;
+constexpr std::size_t kMaxFile_bytes = std::size_t{256} << 20;
 
 class Descriptor {
  public:
@@ -77,9 +77,9 @@ Result<std::string> read_file(const std::string& path) {
     return failure(fmt::format("{}: cannot read: {}", path, reason(errno)));
   if (S_ISDIR(status.st_mode)) return failure(fmt::format("{}: is a directory, not a file", path));
   if (!S_ISREG(status.st_mode)) return failure(fmt::format("{}: is not a regular file", path));
-  if (static_cast<std::size_t>(status.st_size) > kLargestFile_bytes)
+  if (static_cast<std::size_t>(status.st_size) > kMaxFile_bytes)
     return failure(fmt::format("{}: has {} MiB; files of more than {} MiB are refused", path,
-                               status.st_size >> 20, kLargestFile_bytes >> 20));
+                               status.st_size >> 20, kMaxFile_bytes >> 20));
   std::string content(static_cast<std::size_t>(status.st_size), '\0');
   std::size_t filled = 0;
   while (filled < content.size()) {

@@ -65,8 +65,8 @@ std::optional<std::string> canonical_origin(const std::string& text) {
 
 void read_can(TableReader& reader, const toml::table& table, const std::string& file,
               const std::string& folder, std::optional<Error>& error, CanSettings& can) {
-  constexpr std::size_t kLongestInterface = 15;  // IFNAMSIZ - 1
-  reader.text("interface", can.interface, kLongestInterface);
+  constexpr std::size_t kMaxInterface = 15;  // IFNAMSIZ - 1
+  reader.text("interface", can.interface, kMaxInterface);
   if (can.interface.find_first_of("/ \t:") != std::string::npos)
     reader.refuse(table.get("interface")->source(), "can.interface is not the name of a network interface");
   reader.path("dbc", can.dbc, folder);

@@ -17,8 +17,8 @@
 namespace clampd {
 namespace {
 
-constexpr std::uint32_t kMostRepeats = 200;
-constexpr std::size_t kLongestText = 80;
+constexpr std::uint32_t kMaxRepeats = 200;
+constexpr std::size_t kMaxText = 80;
 
 constexpr std::string_view kUsePredictionErrors = "set method = \"pem\" under [check]";
 
@@ -97,8 +97,8 @@ CheckRequest normalised(CheckRequest request) {
 Result<void> validate(const CheckRequest& asked) {
   const CheckRequest request = normalised(asked);
   const auto check = [](std::string_view what, const std::string& text) -> Result<void> {
-    if (text.size() > kLongestText)
-      return failure(fmt::format("{} is longer than {} characters", what, kLongestText));
+    if (text.size() > kMaxText)
+      return failure(fmt::format("{} is longer than {} characters", what, kMaxText));
     for (const char c : text)
       if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f)
         return failure(fmt::format("{} contains control characters", what));
@@ -108,8 +108,8 @@ Result<void> validate(const CheckRequest& asked) {
     return {};
   };
   if (request.serial.empty()) return failure("the serial number is empty; every check belongs to a brake");
-  if (request.repeats > kMostRepeats)
-    return failure(fmt::format("{} repeats are too many; at most {}", request.repeats, kMostRepeats));
+  if (request.repeats > kMaxRepeats)
+    return failure(fmt::format("{} repeats are too many; at most {}", request.repeats, kMaxRepeats));
   for (const auto& [what, text] :
        {std::pair<std::string_view, const std::string&>{"the serial number", request.serial},
         {"the operator", request.operator_name},

@@ -27,10 +27,10 @@ TEST(Clock, NeverRunsBackwards) {
   EXPECT_EQ(kPeriod_ns, static_cast<std::int64_t>(kPeriod_s * 1e9));
 }
 
-TEST(SpareThreads, AreOneAccountForAllCopies) {
-  EXPECT_FALSE(SpareThreads().take()) << "by itself, none";
-  const SpareThreads threads(3);
-  const SpareThreads copy = threads;
+TEST(ThreadBudget, AreOneAccountForAllCopies) {
+  EXPECT_FALSE(ThreadBudget().take()) << "by itself, none";
+  const ThreadBudget threads(3);
+  const ThreadBudget copy = threads;
   EXPECT_TRUE(threads.take());
   EXPECT_TRUE(copy.take());
   EXPECT_FALSE(threads.take()) << "the caller's thread is the third";
@@ -38,10 +38,10 @@ TEST(SpareThreads, AreOneAccountForAllCopies) {
   EXPECT_TRUE(threads.take());
 }
 
-TEST(SpareThreads, LoopsWithinLoopsDoAllWorkOnceAndShareThem) {
+TEST(ThreadBudget, LoopsWithinLoopsDoAllWorkOnceAndShareThem) {
   constexpr int kThreads = 3;
   constexpr std::size_t kOuter = 7, kInner = 50;
-  const SpareThreads threads(kThreads);
+  const ThreadBudget threads(kThreads);
   std::vector<std::atomic<int>> done(kOuter * kInner);
   std::atomic<int> at_once{0}, most{0};
   for_each_index(kOuter, threads, [&](std::size_t outer) {

@@ -41,7 +41,7 @@ constexpr double kDetectable_nats = 25.0;
 constexpr double kPlain_nats = 300.0;
 /// Models closer to each other than this are twins.
 constexpr double kTwins_nats = 10.0;
-constexpr std::size_t kMostRivals = 3;
+constexpr std::size_t kMaxRivals = 3;
 constexpr double kNoiseFloor = 1.1;
 constexpr double kStandardDeviations = 3.0;
 
@@ -149,7 +149,7 @@ Outcome of_ambiguous(const Score& score) {
     for (std::size_t group = 0; group < score.rivals.size() && !found; ++group) {
       if (used.contains(group) || !contains(score.rivals[group], effect.name)) continue;
       used.insert(group);
-      many = many || score.rivals[group].size() > kMostRivals;
+      many = many || score.rivals[group].size() > kMaxRivals;
       found = true;
     }
     if (!found && !contains(score.named, effect.name)) return Outcome::FalseRivals;
@@ -253,8 +253,8 @@ Score diagnose_one(const Request& request, const Options& options, Diagnosis* de
     score.nats_apart = blind::nats_left(*set, diagnosis->model);
     if (score.nats_apart < kTwins_nats) score.outcome = Outcome::TwinNamed;
   }
-  for (const Rung& rung : diagnosis->ladder)
-    if (rung.stage == 1) score.least_p_value = std::min(score.least_p_value, rung.p_value);
+  for (const CandidateSummary& summary : diagnosis->candidates)
+    if (summary.stage == 1) score.least_p_value = std::min(score.least_p_value, summary.p_value);
   score.explained_nats = diagnosis->misfit.explained_nats;
   score.left_nats = diagnosis->misfit.left_nats;
   if (diagnosis->gain) score.heldout_misfit = diagnosis->gain->after.misfit;
@@ -580,10 +580,10 @@ void print_times(const std::vector<Score>& scores) {
 
 void print_details(const Score& score, const Diagnosis& diagnosis) {
   fmt::print("{}\n{}\n\n", describe(score), diagnosis.summary);
-  for (const Rung& rung : diagnosis.ladder)
-    fmt::print("  {} {:<22} predicted {:9.1f}  gain {:9.1f}  evidence {:8.1f}{}{}\n", rung.stage, rung.name,
-               rung.predicted_gain, rung.gain, rung.evidence, rung.chosen ? "  chosen" : "",
-               rung.rival ? "  rival" : "");
+  for (const CandidateSummary& summary : diagnosis.candidates)
+    fmt::print("  {} {:<22} predicted {:9.1f}  gain {:9.1f}  evidence {:8.1f}{}{}\n", summary.stage,
+               summary.name, summary.predicted_gain, summary.gain, summary.significance_nats,
+               summary.chosen ? "  chosen" : "", summary.rival ? "  rival" : "");
   for (const auto* tests : {&diagnosis.misfit.tests_before, &diagnosis.misfit.tests_after}) {
     fmt::print("\n{}\n", tests == &diagnosis.misfit.tests_before ? "Base model" : "Final model");
     for (const MisfitTest& test : *tests)

@@ -168,7 +168,7 @@ TEST(Simulation, CutsIrregularGapsIntoStepsOfAtMostAMillisecond) {
   const std::vector<double> torque{0.5, 0.7, 0.9, 0.2, 0.0};
   const std::vector<double> time{0.0, 0.001, 0.0135, 0.014, 0.034};
   Simulation irregular(5);
-  simulate({}, BrakeState::Zero(), {torque, kLargestStep_s, time}, irregular);
+  simulate({}, BrakeState::Zero(), {torque, kMaxStep_s, time}, irregular);
   ASSERT_TRUE(irregular.complete());
   const PaperBrake brake = paper_brake({});
   BrakeState state = BrakeState::Zero();
@@ -189,7 +189,7 @@ TEST(Simulation, CallsAGapThatIsTooLongTheEndOfTheValidRows) {
   const std::vector<double> torque(3, 0.5);
   const std::vector<double> time{0.0, 0.001, 5.0};
   Simulation run(3);
-  simulate({}, BrakeState::Zero(), {torque, kLargestStep_s, time}, run);
+  simulate({}, BrakeState::Zero(), {torque, kMaxStep_s, time}, run);
   EXPECT_EQ(run.valid_rows, 2u);
   EXPECT_TRUE(std::isnan(run.force_N[2]));
 }

@@ -101,8 +101,8 @@ TEST_P(FeedbackInTheRow, IsNoEffect) {
   EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
 }
 
-/// A Coulomb friction that differs by direction contains a torque offset where the brake only slides: its fit must not end below the
-/// offset's, and so fall out of the rivals.
+/// A Coulomb friction that differs by direction contains a torque offset where the brake only slides: its fit
+/// must not end below the offset's, and so fall out of the rivals.
 class ContainingModel : public ::testing::TestWithParam<std::uint64_t> {};
 INSTANTIATE_TEST_SUITE_P(Sample, ContainingModel, ::testing::Values(1, 2, 4, 5));
 
@@ -310,10 +310,10 @@ TEST(Diagnosis, IsTheSameWithAnyNumberOfThreads) {
   const Diagnosis a = spoken(few, one);
   const Diagnosis b = spoken(few, two);
   EXPECT_EQ(a.summary, b.summary);
-  ASSERT_EQ(a.ladder.size(), b.ladder.size());
-  for (std::size_t i = 0; i < a.ladder.size(); ++i) {
-    EXPECT_EQ(a.ladder[i].name, b.ladder[i].name);
-    EXPECT_EQ(a.ladder[i].evidence, b.ladder[i].evidence);
+  ASSERT_EQ(a.candidates.size(), b.candidates.size());
+  for (std::size_t i = 0; i < a.candidates.size(); ++i) {
+    EXPECT_EQ(a.candidates[i].name, b.candidates[i].name);
+    EXPECT_EQ(a.candidates[i].significance_nats, b.candidates[i].significance_nats);
   }
 }
 

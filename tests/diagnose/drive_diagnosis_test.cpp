@@ -250,7 +250,7 @@ TEST(DriveDiagnosis, FixedPartsStayAndSwitchedOffOnesAreNotTried) {
   EXPECT_TRUE(std::isnan(find(fixed.parameters_after, "inertia").sd));
   EXPECT_THAT(names(fixed), ElementsAre("quadratic-drag"));
   const Diagnosis off = diagnosed(runs, drive("[model]\nquadratic-drag = \"off\"\n"));
-  for (const Rung& rung : off.ladder) EXPECT_NE(rung.name, "quadratic-drag");
+  for (const CandidateSummary& summary : off.candidates) EXPECT_NE(summary.name, "quadratic-drag");
   const Diagnosis asked = diagnosed(runs, drive("[model]\nquadratic-drag = \"estimate\"\n"));
   EXPECT_THAT(names(asked), IsEmpty());
   expect_within(find(asked.parameters_after, "quadratic-drag.drag"), 1.5e-4, 3.0, 2e-6);

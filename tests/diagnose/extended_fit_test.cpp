@@ -176,7 +176,7 @@ TEST(ExtendedFit, IsTheSameOnAnyNumberOfThreads) {
       with_effect(fit_base(runs, BrakeParameters{}), {find_effect("force-lag"), {0.001}});
   ExtendedFitOptions options;
   const ExtendedEstimate alone = fit_extended(fit_runs(runs), start, options);
-  options.threads = SpareThreads(4);
+  options.threads = ThreadBudget(4);
   const ExtendedEstimate together = fit_extended(fit_runs(runs), start, options);
   ASSERT_TRUE(alone.possible && together.possible);
   EXPECT_EQ(together.log_likelihood, alone.log_likelihood);

@@ -117,7 +117,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   for (int sample = 0; sample < kSamples; ++sample) {
     now_ns += kPeriod_ns;
     reading.brake_time_ns += kPeriod_ns;
-    std::array<Frame, kMaximumFeedbackFrames> frames;
+    std::array<Frame, kMaxFeedbackFrames> frames;
     const std::size_t count = healthy.feedback(reading, frames);
     for (std::size_t i = 0; i < count; ++i) wire.frames.push_back({frames[i], now_ns});
     const std::int64_t before = index;

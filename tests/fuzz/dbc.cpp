@@ -38,7 +38,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     CLAMPD_ASSERT(codec.error().message.find("input.dbc") != std::string::npos);
     return 0;
   }
-  CLAMPD_ASSERT(codec->feedback_frames > 0 && codec->feedback_frames <= kMaximumFeedbackFrames);
+  CLAMPD_ASSERT(codec->feedback_frames > 0 && codec->feedback_frames <= kMaxFeedbackFrames);
   Frame command = codec->command.blank();
   for (const double torque_Nm : {1.5, -3.0, 1e300, std::nan("")}) {
     codec->torque_command.encode(command, torque_Nm);
@@ -53,7 +53,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   reading.brake_time_ns = std::numeric_limits<std::int64_t>::max() - 20 * kPeriod_ns;
   for (int sample = 0; sample < 16; ++sample) {
     reading.brake_time_ns += kPeriod_ns;
-    std::array<Frame, kMaximumFeedbackFrames> frames;
+    std::array<Frame, kMaxFeedbackFrames> frames;
     const std::size_t count = brake.feedback(reading, frames);
     for (std::size_t i = 0; i < count; ++i)
       if (const auto taken = station.accept(frames[i], sample * kPeriod_ns))

@@ -28,7 +28,7 @@ using ::testing::HasSubstr;
 using ::testing::StartsWith;
 
 constexpr std::size_t kMegabyte = 1024 * 1024;
-constexpr std::size_t kMostGrowth = 64 * kMegabyte;
+constexpr std::size_t kMaxGrowth = 64 * kMegabyte;
 constexpr int kChecksOnRecord = 200;
 
 class Hostile : public ::testing::Test {
@@ -49,7 +49,7 @@ class Hostile : public ::testing::Test {
   void TearDown() override {
     EXPECT_TRUE(station_.client().status()) << "it goes on: " << station_.log();
     const std::size_t most = memory("VmHWM:");
-    EXPECT_LT(most, idle_ + kMostGrowth) << "idle: " << idle_ / kMegabyte << " MB";
+    EXPECT_LT(most, idle_ + kMaxGrowth) << "idle: " << idle_ / kMegabyte << " MB";
     RecordProperty("growth_MB", static_cast<int>((most - std::min(most, idle_)) / kMegabyte));
   }
 

@@ -46,16 +46,17 @@ TEST(ExtendedRun, SquaresAreThoseOfTheNormalEquations) {
   model.effects[2].values[0] = 0.0006;
   model.effects[3].values[0] = -0.003;
   initial << 0.02, 0.3, 40.0, -25.0;
-  const double squares = squares_of(run, ExtendedBrake(model), initial, linear);
+  const double squares = sum_of_squares_of(run, ExtendedBrake(model), initial, linear);
   linearised_at(model, initial, Gains::Kept, linear);
   const Eigen::Index data = linear.columns() - 1;
   EXPECT_NEAR(squares, linear.normal(data, data), 1e-9 * squares);
   run.torque_while_off.reset();
-  EXPECT_NEAR(squares - squares_of(run, ExtendedBrake(model), initial, linear), 100.0, 1e-6)
+  EXPECT_NEAR(squares - sum_of_squares_of(run, ExtendedBrake(model), initial, linear), 100.0, 1e-6)
       << "((0.004 + 0.003) / 0.0007)^2";
 
   model.base.theta[k2] = 1e12;  // flies apart
-  EXPECT_EQ(squares_of(run, ExtendedBrake(model), initial, linear), std::numeric_limits<double>::infinity());
+  EXPECT_EQ(sum_of_squares_of(run, ExtendedBrake(model), initial, linear),
+            std::numeric_limits<double>::infinity());
 }
 
 }  // namespace

@@ -241,7 +241,7 @@ TEST(LinearRun, IgnoringTorqueNoiseIsOrdinaryLeastSquares) {
 /// (15)-(19) as in a textbook, with derivatives by central differences of the simulation.
 struct TextbookFilter {
   std::vector<Eigen::Vector2d> innovations;
-  double squares = 0.0;
+  double sum_of_squares = 0.0;
   double log_determinant = 0.0;
 };
 
@@ -276,7 +276,7 @@ TextbookFilter textbook(const clampd::Run& run, const BrakeParameters& parameter
     s.diagonal() += reading_variance;
     const Eigen::Matrix2d gain = covariance * c.transpose() * s.inverse();
     filter.innovations.push_back(innovation);
-    filter.squares += innovation.dot(s.inverse() * innovation);
+    filter.sum_of_squares += innovation.dot(s.inverse() * innovation);
     filter.log_determinant += std::log(s.determinant());
     state += gain * innovation;
     covariance = (Eigen::Matrix2d::Identity() - gain * c) * covariance;
@@ -307,7 +307,7 @@ TEST(ExtendedKalmanFilter, IsTheTextbooks) {
   }
   EXPECT_NEAR(filter.log_determinant, expected.log_determinant, 1e-2);
   const Normal normal = normal_equations(filter);
-  EXPECT_NEAR(normal(kDataColumn, kDataColumn), expected.squares, 1e-3 * expected.squares);
+  EXPECT_NEAR(normal(kDataColumn, kDataColumn), expected.sum_of_squares, 1e-3 * expected.sum_of_squares);
 }
 
 TEST(ExtendedKalmanFilter, ItsGainsAloneGiveTheSameRowsAgain) {

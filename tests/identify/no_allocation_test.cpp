@@ -64,7 +64,7 @@ TEST_P(NoAllocation, InAnEvaluationAtANewPoint) {
       beside[1] += 1e-3;
       possible = possible && fit_->evaluate(beside) && (*fit_)(beside.data(), residuals.data(), nullptr) &&
                  (*fit_)(beside.data(), residuals.data(), jacobian.data());
-      sum += fit_->squares() + fit_->expected_decrease() + fit_->update_weights();
+      sum += fit_->sum_of_squares() + fit_->expected_decrease() + fit_->update_weights();
       fit_->gauss_newton_step(step);
     }
     allocations = trap.allocations();

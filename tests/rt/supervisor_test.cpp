@@ -430,8 +430,8 @@ TEST(Supervisor, BeyondTheCeilingNotEvenOpeningIsAllowed) {
 
 TEST(GoodRow, StopsCountingLongBeforeItOverflows) {
   GoodRow row;
-  for (int i = 0; i < GoodRow::kMost + 10; ++i) row.add();
-  EXPECT_EQ(row.count(), GoodRow::kMost);
+  for (int i = 0; i < GoodRow::kMax + 10; ++i) row.add();
+  EXPECT_EQ(row.count(), GoodRow::kMax);
   row.restart();
   row.add();
   EXPECT_EQ(row.count(), 1);
@@ -450,7 +450,7 @@ TEST(Supervisor, SettingsThatCannotWorkAreNamed) {
   settings.force_ceiling_N = settings.force_limit_N - 1.0;
   EXPECT_FALSE(settings.validate());
   settings = {};
-  settings.good_samples_to_run = GoodRow::kMost + 1;
+  settings.good_samples_to_run = GoodRow::kMax + 1;
   EXPECT_FALSE(settings.validate());
   for (double ReadingTolerances::*tolerance :
        {&ReadingTolerances::torque_Nm, &ReadingTolerances::velocity_rad_s, &ReadingTolerances::position_rad,

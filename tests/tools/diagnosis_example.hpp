@@ -68,28 +68,29 @@ inline Diagnosis rippling_brake() {
                                   {"force", Location::ForceReading, 1.0, 0.4}};
   diagnosis.misfit.location = Location::TorqueBalance;
   diagnosis.alarm_evidence = 7.05;
-  const auto rung = [](int stage, const char* name, Location location, double gain, double evidence) {
-    return Rung{.stage = stage,
-                .name = name,
-                .location = location,
-                .predicted_gain = 0.98 * gain,
-                .gain = gain,
-                .parameters = 2,
-                .evidence = evidence,
-                .values = {{"size", "N m", 0.01, 0.001}}};
+  const auto summary = [](int stage, const char* name, Location location, double gain,
+                          double significance_nats) {
+    return CandidateSummary{.stage = stage,
+                            .name = name,
+                            .location = location,
+                            .predicted_gain = 0.98 * gain,
+                            .gain = gain,
+                            .parameters = 2,
+                            .significance_nats = significance_nats,
+                            .values = {{"size", "N m", 0.01, 0.001}}};
   };
-  diagnosis.ladder = {rung(1, "friction-asymmetry", Location::TorqueBalance, 31.0, 29.0),
-                      rung(1, "cogging", Location::TorqueBalance, 532.4, 526.0),
-                      rung(1, "force-lag", Location::ForceReading, 4.0, 3.2),
-                      rung(1, "presliding", Location::TorqueBalance, 10.0, 8.4),
-                      rung(2, "force-hum", Location::ForceReading, 2.1, 0.9),
-                      rung(2, "quadratic-drag", Location::TorqueBalance, 1.3, 0.4)};
-  diagnosis.ladder[1].chosen = true;
-  Rung not_refitted;
+  diagnosis.candidates = {summary(1, "friction-asymmetry", Location::TorqueBalance, 31.0, 29.0),
+                          summary(1, "cogging", Location::TorqueBalance, 532.4, 526.0),
+                          summary(1, "force-lag", Location::ForceReading, 4.0, 3.2),
+                          summary(1, "presliding", Location::TorqueBalance, 10.0, 8.4),
+                          summary(2, "force-hum", Location::ForceReading, 2.1, 0.9),
+                          summary(2, "quadratic-drag", Location::TorqueBalance, 1.3, 0.4)};
+  diagnosis.candidates[1].chosen = true;
+  CandidateSummary not_refitted;
   not_refitted.name = "velocity-lag";
   not_refitted.location = Location::VelocityReading;
-  not_refitted.evidence = 0.2;
-  diagnosis.ladder.push_back(not_refitted);
+  not_refitted.significance_nats = 0.2;
+  diagnosis.candidates.push_back(not_refitted);
   HeldOutGain gain;
   gain.runs = {"optimal-003.csv", "staircase-002.csv"};
   gain.before = {.rms_force_N = 34.0,

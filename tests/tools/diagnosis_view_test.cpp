@@ -390,7 +390,7 @@ TEST(DiagnosisReport, EscapesWhatComesFromOutside) {
   diagnosis.rivals = {{nasty, nasty}};
   diagnosis.gain->runs[0] = nasty;
   diagnosis.views[0].name = nasty;
-  diagnosis.ladder[0].name = nasty;
+  diagnosis.candidates[0].name = nasty;
   diagnosis.next_experiment->manoeuvre = diagnosis.next_experiment->why = nasty;
   diagnosis.misfit.tests_before[0].name = diagnosis.misfit.tests_before[0].words = nasty;
   diagnosis.misfit.dependences[0].variable = nasty;

@@ -145,9 +145,9 @@ std::vector<ChannelReport> try_channels(const StationConfiguration& configuratio
     report.channel = channel;
     report.where = where(configuration, channel);
     if (store != nullptr) count_waiting(*store, report);
-    const publish::Bell bell;
+    const publish::WakeEvent wake;
     const std::unique_ptr<publish::Channel> way = make_channel(tried, channel);
-    const Result<void> connected = way->connect({}, bell);
+    const Result<void> connected = way->connect({}, wake);
     report.connected = connected.has_value();
     if (!connected) report.error = connected.error().message;
   }

@@ -37,11 +37,11 @@ struct DesignCommandOptions {
 
 Result<void> prepare(DesignCommandOptions& options) {
   DesignOptions& design = options.design;
-  const double samples = options.duration_s / kLargestStep_s;
-  if (!(samples >= static_cast<double>(kFewestSamples) && samples <= static_cast<double>(kMostSamples)))
+  const double samples = options.duration_s / kMaxStep_s;
+  if (!(samples >= static_cast<double>(kFewestSamples) && samples <= static_cast<double>(kMaxSamples)))
     return failure(fmt::format("--duration {} s is not possible; {} to {} s are", options.duration_s,
-                               static_cast<double>(kFewestSamples) * kLargestStep_s,
-                               static_cast<double>(kMostSamples) * kLargestStep_s));
+                               static_cast<double>(kFewestSamples) * kMaxStep_s,
+                               static_cast<double>(kMaxSamples) * kMaxStep_s));
   if (std::abs(samples - std::round(samples)) > 1e-6)
     return failure(fmt::format("--duration {} s is not a whole number of milliseconds", options.duration_s));
   design.samples = static_cast<std::size_t>(std::llround(samples));
@@ -85,7 +85,7 @@ Result<void> prepare(DesignCommandOptions& options) {
 nlohmann::ordered_json design_json(const DesignOptions& design, const DesignSummary& summary) {
   const Certification& certification = summary.certification;
   return {{"schema", "clampd.design/1"},
-          {"duration_s", static_cast<double>(design.samples) * kLargestStep_s},
+          {"duration_s", static_cast<double>(design.samples) * kMaxStep_s},
           {"block_samples", design.block_samples},
           {"objective", to_string(design.objective)},
           {"criterion",
@@ -120,7 +120,7 @@ nlohmann::ordered_json robust_json(const RobustOptions& options, const RobustSum
                       {"upper_normalised", std::max(one, other)}});
   }
   return {{"schema", "clampd.design/1"},
-          {"duration_s", static_cast<double>(options.samples) * kLargestStep_s},
+          {"duration_s", static_cast<double>(options.samples) * kMaxStep_s},
           {"block_samples", options.block_samples},
           {"objective", kRobust},
           {"criterion",
@@ -158,7 +158,7 @@ void print_torques(const std::vector<double>& block_torque_Nm) {
 void print_robust_summary(const RobustOptions& options, const RobustSummary& summary) {
   const RobustEvaluation& evaluation = summary.evaluation;
   fmt::print("Robust experiment of {:.3f} s, {} blocks of {} samples\n\n",
-             static_cast<double>(options.samples) * kLargestStep_s, summary.block_torque_Nm.size(),
+             static_cast<double>(options.samples) * kMaxStep_s, summary.block_torque_Nm.size(),
              options.block_samples);
   print_torques(summary.block_torque_Nm);
   fmt::print(
@@ -184,9 +184,8 @@ void print_robust_summary(const RobustOptions& options, const RobustSummary& sum
 void print_summary(const DesignOptions& design, const DesignSummary& summary) {
   const Certification& certification = summary.certification;
   fmt::print("{}-optimal experiment of {:.3f} s, {} blocks of {} samples\n\n",
-             design.objective == Objective::D ? "D" : "A",
-             static_cast<double>(design.samples) * kLargestStep_s, summary.block_torque_Nm.size(),
-             design.block_samples);
+             design.objective == Objective::D ? "D" : "A", static_cast<double>(design.samples) * kMaxStep_s,
+             summary.block_torque_Nm.size(), design.block_samples);
   print_torques(summary.block_torque_Nm);
   fmt::print("  -log det M       {:>10.3f}   (smaller is better; independent check {:.3f})\n",
              summary.criterion.logdet, certification.criterion.logdet);

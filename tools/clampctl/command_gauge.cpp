@@ -17,7 +17,7 @@ namespace clampd::ctl {
 
 namespace {
 
-constexpr std::uint32_t kMostChecks = 100'000;
+constexpr std::uint32_t kMaxChecks = 100'000;
 
 struct GaugeCommandOptions {
   std::shared_ptr<CheckFilter> filter;
@@ -90,7 +90,7 @@ void add_gauge_command(CLI::App& app, const CommonOptions& common, int& exit_cod
       ->add_option("--tolerance", options->tolerances,
                    "with --study: upper minus lower limit of a column, COLUMN=VALUE")
       ->needs("--study");
-  options->filter = add_check_selection(*command, kMostChecks);
+  options->filter = add_check_selection(*command, kMaxChecks);
   command->add_option("--report", options->report, "write a page with figures")->type_name("FILE.html");
   command->add_flag("--json", options->json, "as JSON on standard output");
   command->callback([options, &common, &exit_code] { exit_code = gauge(*options, common); });

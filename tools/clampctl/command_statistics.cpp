@@ -15,7 +15,7 @@ namespace clampd::ctl {
 
 namespace {
 
-constexpr std::uint32_t kMostChecks = 1'000'000;
+constexpr std::uint32_t kMaxChecks = 1'000'000;
 
 int statistics(const CheckFilter& filter, bool json, const CommonOptions& common) {
   const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
@@ -53,7 +53,7 @@ void add_statistics_commands(CLI::App& app, const CommonOptions& common, int& ex
   auto json = std::make_shared<bool>(false);
   CLI::App* command = app.add_subcommand(
       "statistics", "yield, capability and control charts of the identified parameters over many brakes");
-  const std::shared_ptr<CheckFilter> filter = add_check_selection(*command, kMostChecks);
+  const std::shared_ptr<CheckFilter> filter = add_check_selection(*command, kMaxChecks);
   command->add_flag("--json", *json, "as JSON on standard output");
   command->callback([filter, json, &common, &exit_code] { exit_code = statistics(*filter, *json, common); });
 

@@ -33,7 +33,7 @@ using http::Response;
 using Names = std::vector<std::string_view>;
 
 constexpr std::string_view kJson = "application/json";
-constexpr std::uint32_t kMostChecks = 1000;  // of one answer
+constexpr std::uint32_t kMaxChecks = 1000;  // of one answer
 
 /// Who does what: the archive may wait for a disk and a command for a lock, and neither may keep the other,
 /// or the question what the station does now, from being answered.
@@ -92,7 +92,7 @@ const Names kFilter{"serial", "part_number", "batch", "operator", "verdict", "si
 /// Which checks are asked for.
 Result<CheckFilter> read_filter(const Request& request, std::uint32_t usual_limit) {
   CheckFilter filter;
-  const auto limit = read_number<std::uint32_t>(request, "limit", 1, kMostChecks, usual_limit);
+  const auto limit = read_number<std::uint32_t>(request, "limit", 1, kMaxChecks, usual_limit);
   if (!limit) return tl::unexpected(limit.error());
   filter.limit = *limit;
   filter.serial = request.parameter("serial");
@@ -178,8 +178,9 @@ class ControlServer::Api {
   void add_command_routes(ControlTarget& target);
   void add_archive_routes(ControlTarget& target);
   /// A route that starts something; `start` gets the stops that whoever asks has seen, if that is said.
-  void add_start(std::string_view path, bool wants_body,
-                 std::function<Response(const Request&, const rt::StartTicket&, std::optional<std::uint64_t>)> start);
+  void add_start(
+      std::string_view path, bool wants_body,
+      std::function<Response(const Request&, const rt::StartTicket&, std::optional<std::uint64_t>)> start);
 
   bool is_own_host(std::string_view host) const;
   bool is_proxied_host(std::string_view host) const;
@@ -224,16 +225,17 @@ void ControlServer::Api::add_command_routes(ControlTarget& target) {
                      [&target](const Request&, const Names&) { return done_or_refuse(target.clear()); },
                      {},
                      Needs::Token});
-  add_start("/v1/checks", true,
-            [&target](const Request& request, const rt::StartTicket& ticket, std::optional<std::uint64_t> seen) {
-              const Result<CheckRequest> check = read_check(request);
-              if (!check) return refusal(400, check.error().message);
-              return answer_or_refuse(
-                  target.start(*check, ticket, seen).map([](const control::StartedCheck& started) {
-                    return nlohmann::ordered_json{{"check", started.check}, {"id", started.id}};
-                  }),
-                  409);
-            });
+  add_start(
+      "/v1/checks", true,
+      [&target](const Request& request, const rt::StartTicket& ticket, std::optional<std::uint64_t> seen) {
+        const Result<CheckRequest> check = read_check(request);
+        if (!check) return refusal(400, check.error().message);
+        return answer_or_refuse(
+            target.start(*check, ticket, seen).map([](const control::StartedCheck& started) {
+              return nlohmann::ordered_json{{"check", started.check}, {"id", started.id}};
+            }),
+            409);
+      });
   add_start("/v1/open", false,
             [&target](const Request&, const rt::StartTicket& ticket, std::optional<std::uint64_t> seen) {
               return answer_or_refuse(target.open(ticket, seen).map([](const std::string& id) {
@@ -246,7 +248,8 @@ void ControlServer::Api::add_command_routes(ControlTarget& target) {
                      kCommands,
                      [&target](const Request& request, const Names&) {
                        const Result<CheckRequest> check = read_check(request);
-                       return check ? done_or_refuse(target.next(*check)) : refusal(400, check.error().message);
+                       return check ? done_or_refuse(target.next(*check))
+                                    : refusal(400, check.error().message);
                      },
                      {},
                      Needs::Token,
@@ -433,9 +436,9 @@ std::variant<Response, http::Job> ControlServer::Api::route(const Request& reque
     if (route.method != method) continue;
     if (std::optional<Response> refused = refuse_for(route, request)) return std::move(*refused);
     if (route.starter)
-      return http::Job{route.worker, route.wants_body, [&route, ticket = target_.ticket()](const Request& whole) {
-                         return route.starter(whole, ticket);
-                       }};
+      return http::Job{
+          route.worker, route.wants_body,
+          [&route, ticket = target_.ticket()](const Request& whole) { return route.starter(whole, ticket); }};
     return http::Job{route.worker, route.wants_body, [&route](const Request& whole) {
                        return route.handler(whole, *match(route.path, whole.path));
                      }};

@@ -17,7 +17,7 @@ constexpr std::array<TextField, 5> kTexts{{{"serial", &CheckRequest::serial},
                                            {"operator_name", &CheckRequest::operator_name},
                                            {"part_number", &CheckRequest::part_number},
                                            {"batch", &CheckRequest::batch}}};
-constexpr std::uint32_t kMostRepeats = 200;
+constexpr std::uint32_t kMaxRepeats = 200;
 
 std::string trimmed(const std::string& text) {
   constexpr const char* kBlanks = " \t\r\n";
@@ -28,10 +28,10 @@ std::string trimmed(const std::string& text) {
 
 Result<void> read_repeats(const nlohmann::json& value, CheckRequest& request) {
   const bool whole = value.is_number_unsigned();  // never negative, no fraction, not true
-  if (!whole || value.get<std::uint64_t>() < 1 || value.get<std::uint64_t>() > kMostRepeats)
+  if (!whole || value.get<std::uint64_t>() < 1 || value.get<std::uint64_t>() > kMaxRepeats)
     return failure(fmt::format(
         "repeats must be a whole number from 1 to {}; leave it out for as many as the station is set to",
-        kMostRepeats));
+        kMaxRepeats));
   request.repeats = value.get<std::uint32_t>();
   return {};
 }
@@ -75,9 +75,9 @@ Result<CheckRequest> parse_check_request(const std::string& body) {
 }
 
 nlohmann::ordered_json progress_json(const CheckProgress& progress) {
-  return {{"check", progress.check},   {"id", progress.id}, {"finished", progress.finished}, {"phase", progress.phase},
-          {"repeat", progress.repeat}, {"repeats", progress.repeats},   {"record", progress.record},
-          {"table", progress.table}};
+  return {{"check", progress.check},   {"id", progress.id},         {"finished", progress.finished},
+          {"phase", progress.phase},   {"repeat", progress.repeat}, {"repeats", progress.repeats},
+          {"record", progress.record}, {"table", progress.table}};
 }
 
 }  // namespace clampd::control

@@ -68,19 +68,19 @@ ordered_json misfit_json(const Misfit& misfit) {
           {"left_nats", misfit.left_nats}};
 }
 
-ordered_json ladder_json(const std::vector<Rung>& ladder) {
-  return list_of(ladder, [](const Rung& rung) -> ordered_json {
-    return {{"stage", rung.stage},
-            {"name", rung.name},
-            {"location", to_string(rung.location)},
-            {"predicted_gain", number_or_null(rung.predicted_gain)},
-            {"gain", number_or_null(rung.gain)},
-            {"parameter_count", rung.parameters},
-            {"evidence", number_or_null(rung.evidence)},
-            {"p_value", number_or_null(rung.p_value)},
-            {"parameters", parameters_json(rung.values)},
-            {"chosen", rung.chosen},
-            {"rival", rung.rival}};
+ordered_json ladder_json(const std::vector<CandidateSummary>& candidates) {
+  return list_of(candidates, [](const CandidateSummary& summary) -> ordered_json {
+    return {{"stage", summary.stage},
+            {"name", summary.name},
+            {"location", to_string(summary.location)},
+            {"predicted_gain", number_or_null(summary.predicted_gain)},
+            {"gain", number_or_null(summary.gain)},
+            {"parameter_count", summary.parameters},
+            {"evidence", number_or_null(summary.significance_nats)},
+            {"p_value", number_or_null(summary.p_value)},
+            {"parameters", parameters_json(summary.values)},
+            {"chosen", summary.chosen},
+            {"rival", summary.rival}};
   });
 }
 
@@ -159,7 +159,7 @@ ordered_json diagnosis_json(const Diagnosis& diagnosis, const DiagnosisSubject& 
           {"noise", subject.drive ? ordered_json(nullptr)
                                   : ordered_json{{"before", noise_json(diagnosis.noise_before)},
                                                  {"after", noise_json(diagnosis.noise_after)}}},
-          {"ladder", ladder_json(diagnosis.ladder)},
+          {"ladder", ladder_json(diagnosis.candidates)},
           {"alarm_evidence", number_or_null(diagnosis.alarm_evidence)},
           {"notices", diagnosis.notices},
           {"wall_s", diagnosis.wall_s}};

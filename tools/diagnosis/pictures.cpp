@@ -35,13 +35,13 @@ constexpr double kRevolution_rad = 2.0 * std::numbers::pi;
 /// Of one piece of a spectrum over time: about a second at 1 kHz.
 constexpr std::size_t kPieceRows = 1024;
 /// More points than a figure is wide are not seen, but make the file large.
-constexpr std::size_t kMostPoints = 1600;
+constexpr std::size_t kMaxPoints = 1600;
 
 /// For a curve of many rows the least and the largest of each stretch, so that no peak gets lost.
 Curve curve_through(const std::vector<double>& x, const std::vector<double>& y, double factor) {
   Curve curve;
   const std::size_t rows = std::min(x.size(), y.size());
-  const std::size_t stretch = rows > kMostPoints ? 2 * rows / kMostPoints : 1;
+  const std::size_t stretch = rows > kMaxPoints ? 2 * rows / kMaxPoints : 1;
   for (std::size_t from = 0; from < rows; from += stretch) {
     const std::size_t to = std::min(from + stretch, rows);
     std::size_t least = from, largest = from;
@@ -256,9 +256,9 @@ std::optional<Panel> run_panel(std::span<const RunView> views, const ResidualOf&
   };
   const BinnedMeans before = means_of(residual.before);
   if (before.x.size() < 2) return std::nullopt;
-  constexpr std::size_t kMostTicks = 20;
+  constexpr std::size_t kMaxTicks = 20;
   std::vector<report::Tick> ticks;
-  if (before.x.size() <= kMostTicks)
+  if (before.x.size() <= kMaxTicks)
     for (const double run : before.x) ticks.push_back({run, fmt::format("{:.0f}", run)});
   Panel panel{.x = {.label = "run", .ticks = std::move(ticks)}, .y = {.label = residual.label}};
   if (residual.unit_variance) add_chance(panel, before, 1.0, "");
@@ -276,8 +276,8 @@ std::optional<Panel> against_panel(std::span<const RunView> views, const Residua
     before.add(against.column(view), residual.before(view));
     after.add(against.column(view), residual.after(view));
   }
-  constexpr std::size_t kRowsPerBin = 20, kMostBins = 30;
-  const std::size_t bins = std::min(kMostBins, before.x.size() / kRowsPerBin);
+  constexpr std::size_t kRowsPerBin = 20, kMaxBins = 30;
+  const std::size_t bins = std::min(kMaxBins, before.x.size() / kRowsPerBin);
   if (bins < 3) return std::nullopt;
   Panel panel{.x = {.label = against.label}, .y = {.label = residual.label}};
   const BinnedMeans means = binned(before.x, before.y, bins);
@@ -583,9 +583,9 @@ std::optional<Figure> disturbance_picture(std::span<const RunView> views, bool e
   return figure;
 }
 
-Figure ladder_picture(std::span<const Rung* const> rungs, double alarm_evidence) {
+Figure ladder_picture(std::span<const CandidateSummary* const> summaries, double alarm_evidence) {
   double largest = std::isfinite(alarm_evidence) ? alarm_evidence : 1.0;
-  for (const Rung* rung : rungs) largest = std::max(largest, rung->evidence);
+  for (const CandidateSummary* summary : summaries) largest = std::max(largest, summary->significance_nats);
   // A strong effect would hide the alarm level on an even scale.
   constexpr double kEvenUpTo = 60.0, kLeast = 0.1;
   const bool logarithmic = largest > kEvenUpTo;
@@ -594,16 +594,17 @@ Figure ladder_picture(std::span<const Rung* const> rungs, double alarm_evidence)
   Bars named{.label = "named", .colour = Colour::Blue}, rivals{.label = "rival", .colour = Colour::Orange},
       others{.label = "not named", .colour = Colour::Grey};
   Panel panel{.x = {.label = "evidence", .logarithmic = logarithmic, .lower = start, .upper = end}};
-  const auto count = static_cast<double>(rungs.size());
+  const auto count = static_cast<double>(summaries.size());
   panel.y = {.lower = 0.4, .upper = count + 0.6};
-  for (std::size_t i = 0; i < rungs.size(); ++i) {
-    const Rung& rung = *rungs[i];
+  for (std::size_t i = 0; i < summaries.size(); ++i) {
+    const CandidateSummary& summary = *summaries[i];
     const double y = count - static_cast<double>(i);
-    Bars& bars = rung.chosen ? named : rung.rival ? rivals : others;
+    Bars& bars = summary.chosen ? named : summary.rival ? rivals : others;
     bars.y.push_back(y);
     bars.from.push_back(start);
-    bars.to.push_back(std::max(start, std::isfinite(rung.evidence) ? rung.evidence : start));
-    panel.y.ticks.push_back({y, rung.name});
+    bars.to.push_back(
+        std::max(start, std::isfinite(summary.significance_nats) ? summary.significance_nats : start));
+    panel.y.ticks.push_back({y, summary.name});
   }
   if (logarithmic) panel.x.ticks = decades(kLeast, end);
   for (Bars* bars : {&named, &rivals, &others})
@@ -617,7 +618,7 @@ Figure ladder_picture(std::span<const Rung* const> rungs, double alarm_evidence)
   constexpr int kFrame_px = 105, kBar_px = 20;
   return {.panels = {std::move(panel)},
           .width_px = 760,
-          .panel_height_px = kFrame_px + kBar_px * static_cast<int>(rungs.size())};
+          .panel_height_px = kFrame_px + kBar_px * static_cast<int>(summaries.size())};
 }
 
 Figure trajectory_picture(const Run& trajectory) {

@@ -49,7 +49,7 @@ std::optional<report::Figure> disturbance_picture(std::span<const RunView> views
                                                   const DiagnosisSubject& subject);
 
 /// The candidates of one stage, best first, as bars with the alarm level. At least one.
-report::Figure ladder_picture(std::span<const Rung* const> rungs, double alarm_evidence);
+report::Figure ladder_picture(std::span<const CandidateSummary* const> summaries, double alarm_evidence);
 
 /// Torque, velocity and force of a designed trajectory.
 report::Figure trajectory_picture(const Run& trajectory);

@@ -24,9 +24,9 @@ using report::Table;
 using report::Tone;
 using report::typographic;
 
-constexpr std::size_t kMostManoeuvres = 6;
+constexpr std::size_t kMaxManoeuvres = 6;
 /// Of a stage after the first, which only adds to what the first one showed.
-constexpr std::size_t kMostLaterRungs = 8;
+constexpr std::size_t kMaxLaterRungs = 8;
 
 /// With a capital and a full stop.
 std::string sentence(std::string text) {
@@ -122,10 +122,9 @@ void add_result(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
     if (!words::has_rivals(diagnosis, effect.name))
       entries.emplace_back(
           fmt::format("{}: {}", words::role(diagnosis), effect.name),
-          typographic(words::explains(diagnosis)
-                          ? fmt::format("{} {}", sentence(words::cause(effect.name)),
-                                        sentence(words::quantities(effect.parameters)))
-                          : sentence(words::quantities(effect.parameters))));
+          typographic(words::explains(diagnosis) ? fmt::format("{} {}", sentence(words::cause(effect.name)),
+                                                               sentence(words::quantities(effect.parameters)))
+                                                 : sentence(words::quantities(effect.parameters))));
   for (const std::vector<std::string>& group : diagnosis.rivals)
     for (const std::string& name : group)
       if (diagnosis.verdict == DiagnosisVerdict::Ambiguous)
@@ -157,22 +156,22 @@ void add_effects(Page& page, const Diagnosis& diagnosis) {
       sizes.rows.push_back({effect.name, parameter.name, words::meaning(effect.name, parameter.name),
                             typographic(words::quantity(parameter))});
   page.table(sizes);
-  Table evidence{
+  Table significance_nats{
       .caption =
           "Evidence in nats: how much more likely (as a natural logarithm) the model makes the runs with "
           "the effect than without it.",
       .columns = {{"Effect"}, {"Wrong without it"}, {"Evidence (nats)", true}, {"By chance"}}};
   for (const NamedEffect& effect : diagnosis.effects)
-    evidence.rows.push_back({effect.name, std::string(words::place(effect.location)),
-                             number(effect.log_likelihood_gain, 1), words::chance(effect.p_value)});
-  page.table(evidence);
+    significance_nats.rows.push_back({effect.name, std::string(words::place(effect.location)),
+                                      number(effect.log_likelihood_gain, 1), words::chance(effect.p_value)});
+  page.table(significance_nats);
 }
 
 // ---------------------------------------------------------------------------------------------------------
 
 Result<void> add_runs(Page& page, const Diagnosis& diagnosis) {
   bool begun = false;
-  for (const RunView* view : pictures::representative(diagnosis.views, kMostManoeuvres)) {
+  for (const RunView* view : pictures::representative(diagnosis.views, kMaxManoeuvres)) {
     const std::optional<Figure> picture = pictures::run_picture(*view, is_extended(diagnosis));
     if (!picture) continue;
     if (!begun) {
@@ -256,36 +255,41 @@ Result<void> add_disturbance(Page& page, const Diagnosis& diagnosis, const Diagn
 // ---------------------------------------------------------------------------------------------------------
 
 Result<void> add_ladder(Page& page, const Diagnosis& diagnosis) {
-  if (diagnosis.ladder.empty()) return {};
+  if (diagnosis.candidates.empty()) return {};
   page.section("The candidates");
   page.paragraph(
       "Each known cause was added to the model by itself and fitted to all runs. Its evidence says how "
       "unlikely "
       "the improvement is by chance (−ln p); below the alarm level nothing is made of it.");
   int last_stage = 1;
-  for (const Rung& rung : diagnosis.ladder) last_stage = std::max(last_stage, rung.stage);
+  for (const CandidateSummary& summary : diagnosis.candidates)
+    last_stage = std::max(last_stage, summary.stage);
   for (int stage = 1; stage <= last_stage; ++stage) {
-    std::vector<const Rung*> rungs;
-    for (const Rung& rung : diagnosis.ladder)
-      if (rung.stage == stage) rungs.push_back(&rung);
-    std::stable_sort(rungs.begin(), rungs.end(),
-                     [](const Rung* a, const Rung* b) { return a->evidence > b->evidence; });
-    if (stage > 1 && rungs.size() > kMostLaterRungs) rungs.resize(kMostLaterRungs);
-    if (rungs.empty()) continue;
+    std::vector<const CandidateSummary*> summaries;
+    for (const CandidateSummary& summary : diagnosis.candidates)
+      if (summary.stage == stage) summaries.push_back(&summary);
+    std::stable_sort(summaries.begin(), summaries.end(),
+                     [](const CandidateSummary* a, const CandidateSummary* b) {
+                       return a->significance_nats > b->significance_nats;
+                     });
+    if (stage > 1 && summaries.size() > kMaxLaterRungs) summaries.resize(kMaxLaterRungs);
+    if (summaries.empty()) continue;
     const std::string caption = stage == 1 ? "Each candidate alone beside the base model."
                                            : fmt::format("Each candidate beside the {} before.",
                                                          stage == 2 ? "one chosen" : "ones chosen");
-    if (auto drawn = page.figure(pictures::ladder_picture(rungs, diagnosis.alarm_evidence), caption); !drawn)
+    if (auto drawn = page.figure(pictures::ladder_picture(summaries, diagnosis.alarm_evidence), caption);
+        !drawn)
       return drawn;
     Table table{
         .columns = {{"Candidate"}, {"Changes"}, {"Gain (nats)", true}, {"Evidence", true}, {"Size"}, {""}}};
-    for (const Rung* rung : rungs) {
-      if (!std::isfinite(rung->gain)) continue;
-      table.rows.push_back({rung->name, std::string(words::place(rung->location)), number(rung->gain, 1),
-                            number(rung->evidence, 1), typographic(words::quantities(rung->values)),
-                            rung->chosen  ? Cell("named", Tone::Good)
-                            : rung->rival ? Cell("rival", Tone::Mixed)
-                                          : Cell("")});
+    for (const CandidateSummary* summary : summaries) {
+      if (!std::isfinite(summary->gain)) continue;
+      table.rows.push_back({summary->name, std::string(words::place(summary->location)),
+                            number(summary->gain, 1), number(summary->significance_nats, 1),
+                            typographic(words::quantities(summary->values)),
+                            summary->chosen  ? Cell("named", Tone::Good)
+                            : summary->rival ? Cell("rival", Tone::Mixed)
+                                             : Cell("")});
     }
     if (!table.rows.empty()) page.table(table);
   }
@@ -320,8 +324,8 @@ void add_parameters(Page& page, const Diagnosis& diagnosis) {
   if (!is_extended(diagnosis)) {
     Table table{.caption = "± one standard deviation.", .columns = {{"Parameter"}, {"Estimate", true}}};
     for (const EstimatedParameter& parameter : diagnosis.parameters_after)
-      table.rows.push_back({with_unit(parameter.name, parameter.unit),
-                            typographic(words::estimate(parameter))});
+      table.rows.push_back(
+          {with_unit(parameter.name, parameter.unit), typographic(words::estimate(parameter))});
     page.table(table);
     return;
   }
@@ -335,7 +339,8 @@ void add_parameters(Page& page, const Diagnosis& diagnosis) {
     std::string moved =
         std::isfinite(row.moved_sd) ? typographic(fmt::format("{:+.1f}", row.moved_sd)) : std::string();
     table.rows.push_back(
-        {with_unit(row.after.name, row.after.unit), row.is_in_base ? typographic(words::estimate(row.before)) : "",
+        {with_unit(row.after.name, row.after.unit),
+         row.is_in_base ? typographic(words::estimate(row.before)) : "",
          typographic(words::estimate(row.after)),
          Cell(std::move(moved), std::abs(row.moved_sd) > kFarMoved_sd ? Tone::Mixed : Tone::Plain)});
   }

@@ -48,8 +48,8 @@ using Timer = asio::basic_waitable_timer<std::chrono::steady_clock,
 /// Of each connection, so that what is on its way in the kernel is bounded too.
 constexpr int kSocketBuffer = 128 * 1024;
 /// Taken from a peer that goes on sending, so that it can read why it was refused.
-constexpr std::size_t kMostDrained = 4 * 1024 * 1024;
-constexpr std::size_t kMostFields = 100;
+constexpr std::size_t kMaxDrained = 4 * 1024 * 1024;
+constexpr std::size_t kMaxFields = 100;
 constexpr std::chrono::milliseconds kUntilOthersClosed{10};
 
 /// Of the exception that is being handled.
@@ -183,7 +183,7 @@ class Server::Implementation::Connection : public std::enable_shared_from_this<C
     if (!listed_) return;  // dropped meanwhile
     const auto& header = parser_->get();
     const auto fields = std::distance(header.begin(), header.end());
-    if (static_cast<std::size_t>(fields) > kMostFields)
+    if (static_cast<std::size_t>(fields) > kMaxFields)
       return send(refusal(431, "the header has too many fields"));
     std::optional<Target> target = parse_target({header.target().data(), header.target().size()});
     if (!target)
@@ -306,7 +306,7 @@ class Server::Implementation::Connection : public std::enable_shared_from_this<C
     stream_.async_read_some(asio::buffer(server_.nowhere_),
                             [self = shared_from_this()](const error_code& error, std::size_t count) {
                               self->drained_ += count;
-                              if (!error && self->drained_ < kMostDrained) self->drain();
+                              if (!error && self->drained_ < kMaxDrained) self->drain();
                             });
   }
 

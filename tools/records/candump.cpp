@@ -37,7 +37,7 @@ Result<std::string> format_candump(const CheckRecord& record, const can::Protoco
   if (record.runs.empty()) return failure(fmt::format("check {} has no runs to export", record.id));
   can::StationProtocol station(codec);
   can::BrakeProtocol brake(codec);
-  std::array<can::Frame, can::kMaximumFeedbackFrames> frames{};
+  std::array<can::Frame, can::kMaxFeedbackFrames> frames{};
   std::string log;
   std::int64_t offset_ns = kPause_ns;
   const std::int64_t started_ns = parse_utc(record.started).value_or(0);

@@ -76,8 +76,8 @@ Rest rest_of(const std::vector<double>& velocity_rad_s) {
   std::size_t begin = kSinusoidBegin;
   for (std::size_t k = kSinusoidBegin; k < std::min(kSinusoidEnd, velocity_rad_s.size()); ++k) {
     if (velocity_rad_s[k] != 0.0) begin = k + 1;
-    const double length_s = static_cast<double>(k + 1 - begin) * kLargestStep_s;
-    if (length_s > rest.longest_s) rest = {static_cast<double>(begin) * kLargestStep_s, length_s};
+    const double length_s = static_cast<double>(k + 1 - begin) * kMaxStep_s;
+    if (length_s > rest.longest_s) rest = {static_cast<double>(begin) * kMaxStep_s, length_s};
   }
   return rest;
 }
@@ -208,7 +208,7 @@ void judge_filter(const Study& study, Findings& findings) {
   // It starts at rest, hence a little later.
   std::size_t crossing = kSinusoidBegin + 50;
   while (crossing < kSinusoidEnd && truth[crossing].velocity_rad_s > 0.0) ++crossing;
-  findings.crossing_s = static_cast<double>(crossing) * kLargestStep_s;
+  findings.crossing_s = static_cast<double>(crossing) * kMaxStep_s;
 }
 
 }  // namespace

@@ -65,7 +65,7 @@ Run response_to(const std::vector<double>& torque_Nm) {
   Simulation simulation(torque_Nm.size());
   simulate(BrakeParameters{}, BrakeState::Zero(), Excitation{.torque_Nm = run.torque_Nm}, simulation);
   for (std::size_t k = 0; k < torque_Nm.size(); ++k)
-    run.time_s.push_back(static_cast<double>(k) * kLargestStep_s);
+    run.time_s.push_back(static_cast<double>(k) * kMaxStep_s);
   run.velocity_rad_s = std::move(simulation.velocity_rad_s);
   run.force_N = std::move(simulation.force_N);
   run.position_rad = std::move(simulation.position_rad);

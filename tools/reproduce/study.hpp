@@ -47,7 +47,7 @@ struct Design {
   DesignSummary summary;
   Run response;
 
-  double duration_s() const { return static_cast<double>(samples) * kLargestStep_s; }
+  double duration_s() const { return static_cast<double>(samples) * kMaxStep_s; }
 };
 
 /// The simulated bench's repeats of one trajectory, tracked by the station's own controller.

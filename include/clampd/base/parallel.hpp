@@ -19,11 +19,11 @@ inline int threads_or_all(int asked) {
 
 /// Threads that may still be started, one account for all copies: loops within loops share it, and an inner
 /// one gets what an outer one leaves over. By itself, none.
-class SpareThreads {
+class ThreadBudget {
  public:
-  SpareThreads() = default;
+  ThreadBudget() = default;
   /// For work on `threads` threads, the caller's one among them.
-  explicit SpareThreads(int threads) : spare_(std::make_shared<std::atomic<int>>(threads - 1)) {}
+  explicit ThreadBudget(int threads) : spare_(std::make_shared<std::atomic<int>>(threads - 1)) {}
 
   bool take() const {
     if (!spare_) return false;
@@ -48,7 +48,7 @@ class SpareThreads {
 /// Calls work(i), or work(thread, i) with the thread's number from 0, for i in [0, count) on the caller's
 /// thread and on those that are spare as it begins.
 template <class Work>
-void for_each_index(std::size_t count, const SpareThreads& threads, const Work& work) {
+void for_each_index(std::size_t count, const ThreadBudget& threads, const Work& work) {
   std::atomic<std::size_t> next{0};
   const auto take = [&](std::size_t thread) {
     for (std::size_t i = next++; i < count; i = next++) {
@@ -74,7 +74,7 @@ void for_each_index(std::size_t count, const SpareThreads& threads, const Work& 
 
 /// The same until work(i) returns false; whether none did.
 template <class Work>
-bool for_each_index_while(std::size_t count, const SpareThreads& threads, const Work& work) {
+bool for_each_index_while(std::size_t count, const ThreadBudget& threads, const Work& work) {
   std::atomic<bool> all{true};
   for_each_index(count, threads, [&](std::size_t i) {
     if (all && !work(i)) all = false;
@@ -85,7 +85,7 @@ bool for_each_index_while(std::size_t count, const SpareThreads& threads, const 
 /// for_each_index() on up to `threads` threads, the caller's one among them.
 template <class Work>
 void for_each_index(std::size_t count, int threads, const Work& work) {
-  for_each_index(count, SpareThreads(threads), work);
+  for_each_index(count, ThreadBudget(threads), work);
 }
 
 }  // namespace clampd

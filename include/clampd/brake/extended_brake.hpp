@@ -45,9 +45,9 @@ struct RowInput {
 /// constructor neither allocate nor fail; a diverging state grows until is_bounded() is false.
 class ExtendedBrake {
  public:
-  static constexpr int kMostStates = 8;
-  static constexpr int kMostParameters = 48;
-  using State = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostStates, 1>;
+  static constexpr int kMaxStates = 8;
+  static constexpr int kMaxParameters = 48;
+  using State = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxStates, 1>;
 
   /// Asserts that states and parameters do not exceed the above.
   explicit ExtendedBrake(const ExtendedParameters& parameters);

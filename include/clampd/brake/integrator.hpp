@@ -7,7 +7,7 @@
 namespace clampd {
 
 /// The largest internal step: the paper's sample period.
-inline constexpr double kLargestStep_s = 1e-3;
+inline constexpr double kMaxStep_s = 1e-3;
 
 /// Beyond these a simulation has left every physical brake (the stiffness polynomial has turned over) and is
 /// called diverged; before anything can overflow.
@@ -16,7 +16,7 @@ inline constexpr double kDivergedVelocity_rad_s = 1e5;
 
 /// Zero crossings of the velocity resolved within one step; more would be a numerical flutter, which ends at
 /// rest.
-inline constexpr int kMaximumCrossings = 8;
+inline constexpr int kMaxCrossings = 8;
 
 inline bool is_bounded(const BrakeState& state) noexcept {
   return std::abs(state[0]) < kDivergedPosition_rad && std::abs(state[1]) < kDivergedVelocity_rad_s;
@@ -70,12 +70,12 @@ double crossing_time(const Model& model, const BrakeState& state, double torque_
 /// One step of the set-valued model (the limit eps -> infinity of (4)): torque held over the step,
 /// Runge-Kutta of order four with the sign of friction frozen, the instant of v = 0 found inside of the step;
 /// there the brake sticks if friction holds the load, else it goes on in the direction of the load. Rest is v
-/// = 0 exactly. step_s must not exceed kLargestStep_s for the stated accuracy. Neither allocates nor fails: a
+/// = 0 exactly. step_s must not exceed kMaxStep_s for the stated accuracy. Neither allocates nor fails: a
 /// diverging state grows until is_bounded() is false, which the caller checks.
 template <class Model>
 BrakeState advance(const Model& model, BrakeState state, double torque_Nm, double step_s) noexcept {
   double left_s = step_s;
-  for (int crossing = 0; crossing < kMaximumCrossings; ++crossing) {
+  for (int crossing = 0; crossing < kMaxCrossings; ++crossing) {
     const double sign =
         state[1] != 0.0 ? std::copysign(1.0, state[1]) : model.breakaway_sign(state[0], torque_Nm);
     if (sign == 0.0) return state;

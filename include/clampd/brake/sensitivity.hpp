@@ -103,10 +103,8 @@ BrakeState runge_kutta_tangent(const Model& model, const BrakeState& state,
   const auto chain = [&](int i, double forced_position, double forced_velocity) {
     const double position = tangent.position[i];
     const double velocity = tangent.velocity[i];
-    tangent.position[i] =
-        position_by_position * position + position_by_velocity * velocity + forced_position;
-    tangent.velocity[i] =
-        velocity_by_position * position + velocity_by_velocity * velocity + forced_velocity;
+    tangent.position[i] = position_by_position * position + position_by_velocity * velocity + forced_position;
+    tangent.velocity[i] = velocity_by_position * position + velocity_by_velocity * velocity + forced_velocity;
   };
   for (int i = 0; i < kForced; ++i)
     chain(i,
@@ -149,7 +147,7 @@ BrakeState advance_with_tangent(const Model& model, BrakeState state, Tangent<Mo
   using Columns = typename T::Columns;
   double left_s = step_s;
   Columns left_tangent = Columns::Zero();  // of the time left after the crossings so far
-  for (int crossing = 0; crossing < kMaximumCrossings; ++crossing) {
+  for (int crossing = 0; crossing < kMaxCrossings; ++crossing) {
     const double sign =
         state[1] != 0.0 ? std::copysign(1.0, state[1]) : model.breakaway_sign(state[0], torque_Nm);
     if (sign == 0.0) {

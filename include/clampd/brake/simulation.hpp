@@ -12,21 +12,21 @@
 namespace clampd {
 
 /// No gap between two rows may be longer: a run with such a gap is two runs. A simulation stops there.
-inline constexpr double kLongestGap_s = 1.0;
+inline constexpr double kMaxGap_s = 1.0;
 
 /// What drives a simulation: torque_Nm[k] acts from row k until the next row. Rows are dt_s apart unless
-/// time_s (of the same length) says otherwise. A gap longer than kLargestStep_s is cut into equal steps of at
+/// time_s (of the same length) says otherwise. A gap longer than kMaxStep_s is cut into equal steps of at
 /// most that.
 struct Excitation {
   std::span<const double> torque_Nm;
-  double dt_s = kLargestStep_s;
+  double dt_s = kMaxStep_s;
   std::span<const double> time_s = {};
 
   std::size_t size() const noexcept { return torque_Nm.size(); }
 };
 
 inline Excitation excitation_of(const Run& run) {
-  return {run.torque_Nm, kLargestStep_s, run.time_s};
+  return {run.torque_Nm, kMaxStep_s, run.time_s};
 }
 
 /// Row k holds state and model readings at row k's time; row 0 is the initial state. Sized once, used many
@@ -41,7 +41,7 @@ struct Simulation {
   std::vector<double> velocity_rad_s;  ///< model reading, (6)
   std::vector<double> force_N;         ///< model reading, (6)
   /// Rows that could be computed; all of them unless the simulation diverged (is_bounded()) or met a gap
-  /// longer than kLongestGap_s. The rows after are NaN.
+  /// longer than kMaxGap_s. The rows after are NaN.
   std::size_t valid_rows = 0;
 
   bool complete() const noexcept { return valid_rows == force_N.size(); }

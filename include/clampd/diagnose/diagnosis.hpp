@@ -44,15 +44,15 @@ struct NamedEffect {
 };
 
 /// One candidate on the ladder of evidence of one stage of the search.
-struct Rung {
+struct CandidateSummary {
   int stage = 1;  ///< 1: alone beside the base model, 2: beside the first effect named, ...
   std::string name;
   Location location = Location::TorqueBalance;
   double predicted_gain = 0.0;                             ///< nats, by one Gauss-Newton step
   double gain = std::numeric_limits<double>::quiet_NaN();  ///< nats, refitted; NaN if not worth it
   int parameters = 0;                                      ///< estimated for it
-  double evidence = 0.0;  ///< -ln p of the candidate by itself, its alternatives counted
-  double p_value = 1.0;   ///< the same with all candidates counted
+  double significance_nats = 0.0;  ///< -ln p of the candidate by itself, its alternatives counted
+  double p_value = 1.0;            ///< the same with all candidates counted
   std::vector<EstimatedParameter> values;
   bool chosen = false;
   bool rival = false;
@@ -150,7 +150,7 @@ struct Diagnosis {
   std::vector<std::vector<Rival>> rival_models;
   std::vector<UnseenEffect> unseen;
   Misfit misfit;
-  std::vector<Rung> ladder;
+  std::vector<CandidateSummary> candidates;
   double alarm_evidence =
       std::numeric_limits<double>::quiet_NaN();  ///< from which on a rung raises the alarm
   std::optional<HeldOutGain> gain;

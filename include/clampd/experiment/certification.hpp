@@ -50,7 +50,7 @@ inline constexpr double kCertifiedVelocity_rad_s = 1.0;
 /// Share of nominal at which Certification::coarse_logdet looks.
 inline constexpr double kFragilityStep = 1e-4;
 
-/// Simulates torque_Nm (one per kLargestStep_s) with small implicit steps, takes M (14) from central
+/// Simulates torque_Nm (one per kMaxStep_s) with small implicit steps, takes M (14) from central
 /// differences of those simulations, and compares: limits kept at every small step, outputs and -log det M
 /// equal to those of simulate() and `claimed_logdet`. The differences are taken over two steps of the
 /// parameters: a millionth of nominal, which is the derivative that M is made of also where the brake creeps

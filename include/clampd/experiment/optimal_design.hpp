@@ -16,8 +16,8 @@ namespace clampd {
 
 /// Fewer samples cannot tell seven parameters; more would take minutes.
 inline constexpr std::size_t kFewestSamples = 7;
-inline constexpr std::size_t kMostSamples = 10000;
-inline constexpr std::size_t kMostBlocks = 200;
+inline constexpr std::size_t kMaxSamples = 10000;
+inline constexpr std::size_t kMaxBlocks = 200;
 
 /// rad/s per N m; see DesignOptions::caution. Torques a tenth of a millinewton metre off move the velocity by
 /// ten rad/s at most.
@@ -26,7 +26,7 @@ inline constexpr double kEasyAmplification_rad_s_Nm = 1e5;
 struct DesignOptions {
   BrakeParameters brake;                    ///< for which the experiment is designed
   BrakeState initial = BrakeState::Zero();  ///< known; position from contact (rad), velocity (rad/s)
-  std::size_t samples = 300;       ///< outputs, one per kLargestStep_s; the first one is the initial state
+  std::size_t samples = 300;       ///< outputs, one per kMaxStep_s; the first one is the initial state
   std::size_t block_samples = 20;  ///< samples that share one torque; samples is a multiple
   Objective objective = Objective::D;
   DesignLimits limits;

@@ -36,7 +36,7 @@ struct EstimatorOptions {
   std::optional<double> noise_velocity_rad_s;
   std::optional<double> noise_torque_Nm;
   Loss loss = Loss::Squared;
-  SpareThreads threads;  ///< for runs beside each other; the result is the same
+  ThreadBudget threads;  ///< for runs beside each other; the result is the same
 
   Result<void> validate() const;
 };

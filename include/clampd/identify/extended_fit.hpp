@@ -62,7 +62,7 @@ struct ExtendedFitOptions {
   std::array<bool, kParameterCount> held{};
   /// Given up where, after the first descent, this is more than a few times what a step promises away.
   double least_log_likelihood = -std::numeric_limits<double>::infinity();
-  SpareThreads threads;  ///< for runs beside each other; the result is the same
+  ThreadBudget threads;  ///< for runs beside each other; the result is the same
 };
 
 /// The prediction error method (Procedure 3, on innovations) for a model with any effects: maximum likelihood
@@ -74,7 +74,7 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
 
 /// A first estimate of the base model, by identify_prediction_error(). Not possible if that fails.
 ExtendedEstimate fit_base(std::span<const Run> runs, const BrakeParameters& start,
-                          const SpareThreads& threads = {});
+                          const ThreadBudget& threads = {});
 
 /// The same estimate with an effect more, at these values, or with one less.
 ExtendedEstimate with_effect(const ExtendedEstimate& estimate, const EffectValues& effect);
@@ -90,20 +90,20 @@ struct StepForecast {
   Eigen::VectorXd sd;
 };
 StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-                      const SpareThreads& threads = {});
+                      const ThreadBudget& threads = {});
 
 /// That of with_effect(estimate, effect) for each of several effects, all from one linearisation: at values
 /// and settled states that change nothing, neither the brake's motion nor a reading nor another effect.
 std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
                                         std::span<const EffectValues> effects,
-                                        const SpareThreads& threads = {});
+                                        const ThreadBudget& threads = {});
 
 /// The estimate's covariance, its standard deviations no smaller than what the runs tell by how far they
 /// contradict each other, which also knows of errors that the model does not: the sandwich of White (1982)
 /// over runs, without bias for few of them (Bell, McCaffrey 2002), the larger of both (Angrist, Pischke 2009,
 /// 8.2). From fewer than five runs, and where it is not finite, as it is.
 Eigen::MatrixXd covariance_over_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-                                     const SpareThreads& threads = {});
+                                     const ThreadBudget& threads = {});
 
 /// Runs filtered at an estimate. Innovations over their standard deviations: 1 and white if the model is
 /// right.
@@ -116,7 +116,7 @@ struct FilteredRun {
   double log_likelihood = 0.0;
 };
 std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-                                     const SpareThreads& threads = {});
+                                     const ThreadBudget& threads = {});
 
 /// A disturbance that a free function would add: to the torque balance (N m), to the pads' force (N), to the
 /// readings; one value a row and column.
@@ -137,7 +137,7 @@ struct SignalScores {
 class SignalScorer {
  public:
   SignalScorer(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
-               const SpareThreads& threads = {});
+               const ThreadBudget& threads = {});
   ~SignalScorer();
   SignalScorer(const SignalScorer&) = delete;
   SignalScorer& operator=(const SignalScorer&) = delete;

@@ -15,7 +15,7 @@ struct SensorNoise {
 };
 
 /// All noise of a run. Torque: white error of the recorded torque, one value held over each step of
-/// kLargestStep_s; it moves the brake, so that the readings share it (the paper's Q).
+/// kMaxStep_s; it moves the brake, so that the readings share it (the paper's Q).
 struct NoiseLevels {
   SensorNoise sensors;
   double torque_Nm = 0.0;

@@ -7,7 +7,7 @@
 #include <string>
 
 #include "clampd/base/result.hpp"
-#include "clampd/publish/bell.hpp"
+#include "clampd/publish/wake_event.hpp"
 #include "clampd/record/check_record.hpp"
 
 namespace clampd::publish {
@@ -26,16 +26,16 @@ struct Publication {
 };
 
 /// A way out of the station. Used by one thread; errors are sentences for a technician. After an error the
-/// channel is closed and connected again. Whatever waits gives up when the bell stops.
+/// channel is closed and connected again. Whatever waits gives up when the wake stops.
 class Channel {
  public:
   virtual ~Channel() = default;
 
-  virtual Result<void> connect(const ConnectionContext& context, const Bell& bell) = 0;
+  virtual Result<void> connect(const ConnectionContext& context, const WakeEvent& wake) = 0;
   /// Returns once the other side has acknowledged: from then on it answers for the check.
-  virtual Result<void> send(const Publication& publication, const Bell& bell) = 0;
-  /// Looks after the idle connection until the bell rings, or at most so long.
-  virtual Result<void> attend(const Bell& bell, std::chrono::milliseconds longest) = 0;
+  virtual Result<void> send(const Publication& publication, const WakeEvent& wake) = 0;
+  /// Looks after the idle connection until the wake rings, or at most so long.
+  virtual Result<void> attend(const WakeEvent& wake, std::chrono::milliseconds longest) = 0;
   virtual void close() noexcept = 0;
 };
 

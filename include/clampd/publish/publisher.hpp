@@ -9,8 +9,8 @@
 
 #include "clampd/archive/store.hpp"
 #include "clampd/publish/backoff.hpp"
-#include "clampd/publish/bell.hpp"
 #include "clampd/publish/channel.hpp"
+#include "clampd/publish/wake_event.hpp"
 
 namespace clampd::publish {
 
@@ -43,7 +43,7 @@ class Publisher {
 
   const std::string& channel() const { return options_.channel; }
   /// A check was saved. Without it the outbox is looked at every second.
-  void notify() noexcept { bell_.ring(); }
+  void notify() noexcept { wake_.ring(); }
   PublisherStatus status() const;
 
  private:
@@ -55,7 +55,7 @@ class Publisher {
 
   PublisherOptions options_;
   std::unique_ptr<Channel> way_;
-  Bell bell_;
+  WakeEvent wake_;
   mutable std::mutex mutex_;
   PublisherStatus status_;  ///< under mutex_
 

@@ -61,14 +61,13 @@ struct TorqueInput {
   T torque_Nm;
   T previous_torque_Nm, next_torque_Nm, later_torque_Nm;  ///< of the rows before and after
   double gap_s;
-  double early_s = 0.0;       ///< at first another torque acts for so long,
+  double early_s = 0.0;        ///< at first another torque acts for so long,
   T early_torque_Nm = T(0.0);  ///< this one
 
   /// Changes all readings alike.
   template <class Change>
   void each_reading(const Change& change) {
-    for (T* reading :
-         {&previous_torque_Nm, &torque_Nm, &next_torque_Nm, &later_torque_Nm, &early_torque_Nm})
+    for (T* reading : {&previous_torque_Nm, &torque_Nm, &next_torque_Nm, &later_torque_Nm, &early_torque_Nm})
       change(*reading);
   }
 };
@@ -89,9 +88,9 @@ struct Instant {
   T force_N;    ///< of the pads
   // friction (4), (5)
   T coulomb_Nm, static_Nm, viscous_Nm_s_rad;
-  T level_Nm;     ///< of (4) without its sign, once all effects have had their share in the above
-  T grip;         ///< what the friction level is multiplied with: the direction
-  T opposing_Nm;  ///< any further torque against the motor's
+  T level_Nm;        ///< of (4) without its sign, once all effects have had their share in the above
+  T friction_ratio;  ///< what the friction level is multiplied with: the direction
+  T opposing_Nm;     ///< any further torque against the motor's
   // torque balance (2)
   T torque_Nm, ratio_m_rad, inertia_kg_m2;
 };

@@ -76,28 +76,28 @@ class Presliding final : public EquationsOf<Presliding> {
   }
   int substeps(const effects_detail::Own<double>& own, const effects_detail::Instant<double>& now,
                double acceleration) const override {
-    constexpr int kFewest = 4, kMost = 24;
+    constexpr int kFewest = 4, kMax = 24;
     constexpr double kRow_s = 1e-3;
     constexpr double kBuiltUp = 0.99;
     constexpr double kResolution = 0.1;  // of the travel that builds friction up
     const double change = std::abs(acceleration) * kRow_s;
     const bool may_reverse = now.velocity * acceleration <= 0.0 && std::abs(now.velocity) < 2.0 * change;
-    if (!may_reverse && now.direction * now.grip > kBuiltUp)
+    if (!may_reverse && now.direction * now.friction_ratio > kBuiltUp)
       return has_one_stiffness(law_of(own)) ? substeps_sliding(own, now) : 1;
     // The slowest part of the motion, around a reversal, decides how friction is built up: travel goes with
     // time squared.
     const double travel = (std::abs(now.velocity) + 0.5 * change) * kRow_s;
     const double reach = own.parameters[kDeflection] * std::max(1.0, now.level_Nm / now.coulomb_Nm);
-    return std::clamp(static_cast<int>(std::ceil(std::sqrt(travel / (kResolution * reach)))), kFewest, kMost);
+    return std::clamp(static_cast<int>(std::ceil(std::sqrt(travel / (kResolution * reach)))), kFewest, kMax);
   }
   template <class T>
   void balance(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {
     const Law law = law_of(own);
-    const T bristles = bent(instant, own);
+    const T bristles = deflection_of(instant, own);
     const T level = has_one_stiffness(law) ? instant.coulomb_Nm : instant.level_Nm;
-    instant.grip = has_one_stiffness(law) ? T(bristles * (level / instant.level_Nm)) : bristles;
+    instant.friction_ratio = has_one_stiffness(law) ? T(bristles * (level / instant.level_Nm)) : bristles;
     // The share of the motion that bends them further.
-    const T built_up = instant.direction * instant.grip;
+    const T built_up = instant.direction * instant.friction_ratio;
     T yielding = 1.0 - built_up;
     if (law == Law::Elastic) yielding = built_up < 1.0 ? T(1.0) : T(0.0);
     if (law == Law::ElastoPlastic) yielding = 1.0 - sliding_share(built_up) * built_up;
@@ -107,7 +107,7 @@ class Presliding final : public EquationsOf<Presliding> {
   }
   template <class T>
   void remember(const effects_detail::Instant<T>& end, const effects_detail::Own<T>& own, T* states) const {
-    states[0] = bent(end, own);
+    states[0] = deflection_of(end, own);
     if (has_one_stiffness(law_of(own))) states[1] = end.level_Nm / end.coulomb_Nm;
   }
   template <class T>
@@ -133,7 +133,7 @@ class Presliding final : public EquationsOf<Presliding> {
   /// the brake's own inertia, as many steps.
   static int substeps_sliding(const effects_detail::Own<double>& own,
                               const effects_detail::Instant<double>& now) {
-    constexpr int kMost = 4;
+    constexpr int kMax = 4;
     constexpr double kAtOnce = 0.005;
     const double highest = now.static_Nm - now.coulomb_Nm;
     const double share = (now.level_Nm - now.coulomb_Nm) / highest;
@@ -143,7 +143,7 @@ class Presliding final : public EquationsOf<Presliding> {
                             std::sqrt(own.parameters[kDeflection] * now.inertia_kg_m2 / now.coulomb_Nm) *
                             slope;
     const double steps = std::ceil(apparent / (kAtOnce * now.inertia_kg_m2));
-    return steps < kMost ? std::max(1, static_cast<int>(steps)) : kMost;
+    return steps < kMax ? std::max(1, static_cast<int>(steps)) : kMax;
   }
 
   /// From this share of the level on elasto-plastic bristles slide at all; Dupont's own examples.
@@ -173,13 +173,13 @@ class Presliding final : public EquationsOf<Presliding> {
     constexpr double kLargest = 0.25, kFarthest = 4.0;
     if (built_up < kBreakaway) {
       // No sliding: the slope falls steadily up to the breakaway.
-      const T way = kBreakaway - built_up;
+      const T travel = kBreakaway - built_up;
       const T slowest = reaches - growth * kBreakaway;
-      const T bent = growth * way / slowest;
+      const T relative = growth * travel / slowest;
       using std::log;
-      const T share =
-          way / slowest *
-          (std::abs(effects_detail::value_of(bent)) > 1e-4 ? T(log(1.0 + bent) / bent) : T(1.0 - 0.5 * bent));
+      const T share = travel / slowest *
+                      (std::abs(effects_detail::value_of(relative)) > 1e-4 ? T(log(1.0 + relative) / relative)
+                                                                           : T(1.0 - 0.5 * relative));
       if (!(slowest > 0.0) || !(share < 1.0)) return after(built_up, reaches, growth);
       built_up = T(kBreakaway);
       reaches *= 1.0 - share;
@@ -208,7 +208,7 @@ class Presliding final : public EquationsOf<Presliding> {
 
   /// How far the bristles are bent, over the deflection: a function of the travel.
   template <class T>
-  static T bent(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) {
+  static T deflection_of(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) {
     const T& deflection = own.parameters[kDeflection];
     const Law law = law_of(own);
     if (law == Law::Dahl)

@@ -21,7 +21,7 @@ class Protocol : public ::testing::Test {
     clock_ns_ += kPeriod_ns;
     BrakeFeedback reading = reading_;
     reading.brake_time_ns = clock_ns_;
-    std::array<Frame, kMaximumFeedbackFrames> frames;
+    std::array<Frame, kMaxFeedbackFrames> frames;
     const std::size_t count = brake_.feedback(reading, frames, fault);
     return {frames.begin(), frames.begin() + static_cast<std::ptrdiff_t>(count)};
   }

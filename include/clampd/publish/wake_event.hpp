@@ -6,12 +6,12 @@
 namespace clampd::publish {
 
 /// Wakes a thread that waits for it, or for a connection and for it (`descriptor` is readable once rung).
-class Bell {
+class WakeEvent {
  public:
-  Bell();
-  ~Bell();
-  Bell(const Bell&) = delete;
-  Bell& operator=(const Bell&) = delete;
+  WakeEvent();
+  ~WakeEvent();
+  WakeEvent(const WakeEvent&) = delete;
+  WakeEvent& operator=(const WakeEvent&) = delete;
 
   void ring() noexcept;
   /// Rings, and from now on every wait is over at once.

@@ -1,4 +1,4 @@
-#include "clampd/publish/bell.hpp"
+#include "clampd/publish/wake_event.hpp"
 
 #include <poll.h>
 #include <sys/eventfd.h>
@@ -8,30 +8,30 @@
 
 namespace clampd::publish {
 
-Bell::Bell() : descriptor_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
+WakeEvent::WakeEvent() : descriptor_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
   CLAMPD_ASSERT(descriptor_ >= 0);
 }
 
-Bell::~Bell() {
+WakeEvent::~WakeEvent() {
   ::close(descriptor_);
 }
 
-void Bell::ring() noexcept {
+void WakeEvent::ring() noexcept {
   ::eventfd_write(descriptor_, 1);
 }
 
-void Bell::stop() noexcept {
+void WakeEvent::stop() noexcept {
   stopped_ = true;
   ring();
 }
 
-void Bell::wait(std::chrono::milliseconds longest) noexcept {
+void WakeEvent::wait(std::chrono::milliseconds longest) noexcept {
   pollfd descriptor{descriptor_, POLLIN, 0};
   ::poll(&descriptor, 1, static_cast<int>(longest.count()));
   silence();
 }
 
-void Bell::silence() noexcept {
+void WakeEvent::silence() noexcept {
   eventfd_t rings = 0;
   if (!stopped_) ::eventfd_read(descriptor_, &rings);
 }
