@@ -86,7 +86,7 @@ begin_fault() {
   faulty_trace=$trace
   candump -D -L "$brake_interface,100:7FF" >/tmp/commands.log 2>/dev/null &
   candump_pid=$!
-  timeout 60 clampctl --config /tmp/station.toml run --serial HIL-1 \
+  timeout "${check_timeout_s:-60}" clampctl --config /tmp/station.toml run --serial HIL-1 \
     --repeats ${fault_repeats:-20} --json "/tmp/$id.json" >"/tmp/$id.out" 2>&1 &
   check_pid=$!
 }
