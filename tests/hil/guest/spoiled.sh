@@ -66,17 +66,13 @@ draw() {
 
 # spoiled_check NUMBER: one check on a brake of its own, whose reading lies from the instant on. Appends to $results.
 spoiled_check() {
+  if [ "${ended:-}" = undecided ]; then finish_undecided; fi
   draw "$1" >/tmp/drawn
   read -r reading kind amount instant_s </tmp/drawn
   at_s=$(awk -v instant="$instant_s" -v start=$spoiled_start_s 'BEGIN { printf "%.4f", start + instant }')
   brake_tables=$(printf '[[spoil]]\nreading = "%s"\nkind = "%s"\namount = %s\nat_s = %s' \
     "$reading" "$kind" "$amount" "$at_s")
   brake_seed=$((1000 + $1))
-  if [ "${ended:-}" = undecided ]; then # it still fits
-    stop_station
-    start_station
-    sleep 1
-  fi
   start_brake /tmp/trace.csv
   brake_tables=
   wait_until 10 "the fault can be cleared" clearable
@@ -92,6 +88,14 @@ spoiled_check() {
   stop_recording
   stop_brake
   judge_spoiled_check
+}
+
+# The station still fits the runs of a check that was given up: on a brake that says the truth, until it takes the next.
+finish_undecided() {
+  start_brake /tmp/trace.csv
+  wait_until 300 "the station has ended the check that was given up" clearable
+  clear_fault
+  stop_brake
 }
 
 # Judges by the record, by what the brake's trace says of the truth, and by the commands on the bus.
