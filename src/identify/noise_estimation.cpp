@@ -22,8 +22,9 @@ constexpr int kMaxHalvings = 6;
 
 /// A faint pull of the torque's variance away from zero, as by a prior proportional to its power: where the
 /// data hardly tell it, the likelihood's maximum is at zero in half of all cases, and the parameters'
-/// uncertainty would then be many times too small. Where they tell it, this does not show.
-constexpr double kAwayFromZero = 0.1;
+/// uncertainty would then be many times too small. Where they tell it, this does not show. Sized by coverage (estimation_campaign): with
+/// 0.1, value ± 1.96 sd of single runs held the truth in up to 98.5 %, with 0.03 in 94.6 to 96.4 %.
+constexpr double kAwayFromZero = 0.03;
 
 /// Of each variance. Torque noise of 0.01 mN m moves nothing.
 double smallest(int i) {
