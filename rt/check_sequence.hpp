@@ -8,7 +8,7 @@
 #include "clampd/control/motion_observer.hpp"
 #include "clampd/control/nominal_drive.hpp"
 #include "clampd/control/stiffness_estimate.hpp"
-#include "clampd/record/brake_port.hpp"
+#include "clampd/ports/brake_port.hpp"
 #include "clampd/record/reference.hpp"
 #include "clampd/record/sample.hpp"
 #include "rt/reading_monitor.hpp"

@@ -13,8 +13,8 @@
 
 #include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
-#include "clampd/record/brake_port.hpp"
-#include "clampd/record/interlocks.hpp"
+#include "clampd/ports/brake_port.hpp"
+#include "clampd/ports/interlocks.hpp"
 #include "clampd/record/sample.hpp"
 #include "rt/check_sequence.hpp"
 #include "rt/flight_recorder.hpp"

@@ -6,7 +6,7 @@
 #include "clampd/base/realtime.hpp"
 #include "clampd/base/result.hpp"
 #include "clampd/control/nominal_drive.hpp"
-#include "clampd/record/brake_port.hpp"
+#include "clampd/ports/brake_port.hpp"
 #include "clampd/record/sample.hpp"
 
 namespace clampd::rt {

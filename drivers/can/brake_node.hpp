@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <optional>
 
-#include "clampd/record/brake_port.hpp"
+#include "clampd/ports/brake_port.hpp"
 #include "drivers/can/bus.hpp"
 #include "drivers/can/protocol.hpp"
 

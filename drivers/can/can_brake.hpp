@@ -2,7 +2,7 @@
 
 #include <array>
 
-#include "clampd/record/brake_port.hpp"
+#include "clampd/ports/brake_port.hpp"
 #include "drivers/can/bus.hpp"
 #include "drivers/can/protocol.hpp"
 

@@ -10,7 +10,7 @@
 #include <span>
 
 #include "clampd/base/realtime.hpp"
-#include "clampd/record/brake_port.hpp"
+#include "clampd/ports/brake_port.hpp"
 #include "drivers/can/codec.hpp"
 #include "drivers/can/frame.hpp"
 

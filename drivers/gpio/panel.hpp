@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "clampd/base/result.hpp"
+#include "clampd/ports/interlocks.hpp"
 #include "clampd/record/check_record.hpp"
-#include "clampd/record/interlocks.hpp"
 #include "drivers/gpio/lines.hpp"
 #include "drivers/gpio/panel_logic.hpp"
 #include "drivers/gpio/relay_guard.hpp"

@@ -10,8 +10,8 @@
 #include <string_view>
 
 #include "clampd/base/clock.hpp"
+#include "clampd/ports/interlocks.hpp"
 #include "clampd/record/check_record.hpp"
-#include "clampd/record/interlocks.hpp"
 #include "clampd/record/sample.hpp"
 
 namespace clampd::gpio {

@@ -7,7 +7,7 @@
 #include <memory>
 
 #include "clampd/base/result.hpp"
-#include "clampd/record/interlocks.hpp"
+#include "clampd/ports/interlocks.hpp"
 #include "drivers/gpio/lines.hpp"
 
 namespace clampd::gpio {

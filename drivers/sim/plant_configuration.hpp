@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "clampd/base/result.hpp"
-#include "clampd/brake/parameters.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 #include "drivers/sim/effects.hpp"
 #include "drivers/sim/spoiling.hpp"
 

@@ -5,7 +5,7 @@
 #include <random>
 #include <vector>
 
-#include "clampd/record/brake_port.hpp"
+#include "clampd/ports/brake_port.hpp"
 #include "drivers/sim/plant_configuration.hpp"
 #include "drivers/sim/spoiling.hpp"
 

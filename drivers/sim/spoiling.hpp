@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "clampd/record/brake_port.hpp"
+#include "clampd/ports/brake_port.hpp"
 
 namespace clampd::sim {
 

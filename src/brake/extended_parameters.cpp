@@ -3,9 +3,9 @@
 #include <fmt/format.h>
 #include <toml++/toml.h>
 
+#include "clampd/base/toml_location.hpp"
 #include "clampd/brake/extended_brake.hpp"
 #include "clampd/record/file.hpp"
-#include "src/brake/toml_location.hpp"
 
 namespace clampd {
 

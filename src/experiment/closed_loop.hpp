@@ -3,8 +3,8 @@
 #include <vector>
 
 #include "clampd/brake/dynamics.hpp"
-#include "clampd/brake/parameters.hpp"
 #include "clampd/control/nominal_drive.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/reference.hpp"
 
 namespace clampd {

@@ -8,9 +8,9 @@
 
 #include "clampd/brake/dynamics.hpp"
 #include "clampd/brake/integrator.hpp"
-#include "clampd/brake/parameters.hpp"
 #include "clampd/brake/sensitivity.hpp"
 #include "clampd/identify/information.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 
 namespace clampd {
 

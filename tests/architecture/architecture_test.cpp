@@ -43,6 +43,15 @@ TEST(Architecture, TheTreeKeepsItsRules) {
   EXPECT_GT(files, 20) << "the walk must have seen the tree";
 }
 
+TEST(Architecture, ArrowsPointDown) {
+  std::set<std::string_view> above;
+  for (const auto& [room, targets] : arrows()) {
+    for (const std::string_view target : targets)
+      EXPECT_EQ(above.count(target), 1U) << room << " may include " << target << ", which is not above it";
+    EXPECT_TRUE(above.insert(room).second) << room << " is listed twice";
+  }
+}
+
 struct Planted {
   std::string label;
   std::string path;
@@ -67,7 +76,7 @@ TEST_P(Rules, CatchWhatIsPlantedAndNothingElse) {
 INSTANTIATE_TEST_SUITE_P(
     Planted, Rules,
     ::testing::Values(
-        Planted{"upward", "src/record/a.cpp", "#include \"clampd/brake/parameters.hpp\"\n",
+        Planted{"upward", "src/record/a.cpp", "#include \"clampd/parameters/brake_parameters.hpp\"\n",
                 "a.cpp:1: record must not"},
         Planted{"upward_header", "include/clampd/identify/a.hpp",
                 "\n\n #  include <clampd/station/limits.hpp>", "a.hpp:3:"},
@@ -76,10 +85,10 @@ INSTANTIATE_TEST_SUITE_P(
         Planted{"driver_to_rt", "drivers/can/a.hpp", "#include \"rt/ring.hpp\"", "drivers/can must not"},
         Planted{"driver_to_driver", "drivers/can/a.hpp", "#include \"drivers/sim/plant.hpp\"",
                 "drivers/can must not"},
-        Planted{"sim_to_parameters", "drivers/sim/a.hpp", "#include \"clampd/brake/parameters.hpp\"", ""},
+        Planted{"sim_to_parameters", "drivers/sim/a.hpp", "#include \"clampd/parameters/brake_parameters.hpp\"", ""},
         Planted{"sim_to_integrator", "drivers/sim/a.cpp", "#include \"clampd/brake/integrator.hpp\"",
                 "drivers/sim must not"},
-        Planted{"can_to_parameters", "drivers/can/a.cpp", "#include \"clampd/brake/parameters.hpp\"",
+        Planted{"can_to_parameters", "drivers/can/a.cpp", "#include \"clampd/parameters/brake_parameters.hpp\"",
                 "drivers/can must not"},
         Planted{"station_to_rt", "src/station/a.cpp", "#include \"rt/supervisor.hpp\"", "station must not"},
         Planted{"rt_to_law", "rt/a.cpp", "#include \"clampd/control/control_law.hpp\"", ""},
@@ -96,13 +105,23 @@ INSTANTIATE_TEST_SUITE_P(
                 "drivers/sim must not"},
         Planted{"archive_to_identify", "src/archive/a.cpp", "#include \"clampd/identify/output_error.hpp\"",
                 "archive must not"},
-        Planted{"report_to_record", "src/report/a.cpp", "#include \"clampd/record/run.hpp\"",
-                "report must not"},
+        Planted{"line_to_views", "src/line/a.cpp", "#include \"clampd/views/page.hpp\"", "line must not"},
+        Planted{"diagnose_to_views", "src/diagnose/a.cpp", "#include \"clampd/views/diagnosis_words.hpp\"", "diagnose must not"},
+        Planted{"experiment_to_diagnose", "src/experiment/a.cpp", "#include \"clampd/diagnose/diagnosis.hpp\"",
+                "experiment must not"},
+        Planted{"views_to_bench", "src/views/a.cpp", "#include \"clampd/bench/prepared_station.hpp\"", "views must not"},
+        Planted{"bench_to_api", "src/bench/a.cpp", "#include \"clampd/api/messages.hpp\"", "bench must not"},
+        Planted{"api_to_daemon", "src/api/a.cpp", "#include \"clampd/daemon/daemon.hpp\"", "api must not"},
+        Planted{"http_to_api", "src/http/a.cpp", "#include \"clampd/api/messages.hpp\"", "http must not"},
+        Planted{"record_to_ports", "src/record/a.cpp", "#include \"clampd/ports/brake_port.hpp\"", "record must not"},
+        Planted{"rt_to_simulation", "rt/a.cpp", "#include \"clampd/simulation/simulate.hpp\"", "rt must not"},
+        Planted{"tool_to_tool", "tools/reproduce/a.cpp", "#include \"tools/cli/terminal.hpp\"", "tools/reproduce must not"},
+        Planted{"tool_to_room", "tools/cli/a.cpp", "#include \"clampd/station/session.hpp\"", "tools/cli must not"},
+        Planted{"unknown_tool", "tools/novel/a.cpp", "#include \"clampd/base/result.hpp\"", "tools/novel has no arrows"},
+        Planted{"tool_down", "tools/clampctl/a.cpp", "#include \"clampd/bench/prepared_station.hpp\"\n#include \"rt/readiness.hpp\"", ""},
         Planted{"src_to_tools", "src/station/a.cpp", "#include \"tools/cli/terminal.hpp\"",
                 "station must not"},
         Planted{"src_to_tests", "src/station/a.cpp", "#include \"tests/support/x.hpp\"", "station must not"},
-        Planted{"tools_see_all", "tools/clampd/a.cpp",
-                "#include \"rt/ring.hpp\"\n#include \"drivers/sim/x.hpp\"", ""},
         Planted{"downward", "src/station/a.cpp",
                 "#include \"clampd/identify/output_error.hpp\"\n#include <vector>", ""},
         Planted{"tests_are_free", "tests/rt/a.cpp", "#include \"drivers/sim/x.hpp\"\nvoid f() { throw 1; }",
@@ -124,6 +143,7 @@ INSTANTIATE_TEST_SUITE_P(
                 "must not include <Ip"},
         Planted{"sqlite_elsewhere", "tools/x/a.cpp", "#include <SQLiteCpp/Database.h>",
                 "must not include <SQLite"},
+        Planted{"command_line_in_a_room", "src/bench/a.cpp", "#include <CLI/CLI.hpp>", "must not include <CLI"},
         Planted{"mqtt_elsewhere", "tools/clampd/a.cpp", "#include <mosquitto.h>",
                 "must not include <mosquitto"},
         Planted{"postgresql_in_its_header", "include/clampd/publish/a.hpp", "#include <pqxx/pqxx>",

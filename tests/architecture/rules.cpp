@@ -1,7 +1,6 @@
 #include "architecture/rules.hpp"
 
 #include <algorithm>
-#include <map>
 #include <optional>
 #include <regex>
 
@@ -10,35 +9,10 @@
 namespace clampd::architecture {
 namespace {
 
-using Rooms = std::vector<std::string_view>;
-
-/// THE arrows: what each room may include besides itself.
-const std::map<std::string_view, Rooms>& arrows() {
-  static const std::map<std::string_view, Rooms> kArrows{
-      {"base", {}},
-      {"statistics", {"base"}},
-      {"record", {"base"}},
-      {"brake", {"record", "base"}},
-      {"identify", {"brake", "record", "statistics", "base"}},
-      {"control", {"record", "base"}},
-      {"experiment", {"control", "identify", "brake", "record", "statistics", "base"}},
-      {"diagnose", {"identify", "brake", "record", "statistics", "base"}},
-      {"station", {"diagnose", "experiment", "identify", "brake", "record", "base"}},
-      {"archive", {"record", "base"}},
-      {"publish", {"archive", "record", "base"}},
-      {"quality", {"statistics", "base"}},
-      {"report", {"base"}},
-      {"rt", {"control", "record", "base"}},
-      {"drivers/can", {"record", "base"}},
-      {"drivers/gpio", {"record", "base"}},
-      {"drivers/sim", {"record", "base"}},
-  };
-  return kArrows;
-}
-
-/// The simulated brake shares the parameters with the estimator, and on purpose nothing of its mathematics.
-bool is_allowed_exception(std::string_view room, std::string_view include) {
-  return room == "drivers/sim" && include == "clampd/brake/parameters.hpp";
+const Rooms* arrows_of(std::string_view room) {
+  for (const auto& [from, to] : arrows())
+    if (from == room) return &to;
+  return nullptr;
 }
 
 struct LibraryRule {
@@ -57,15 +31,16 @@ const std::vector<LibraryRule>& library_rules() {
       {"Ip", {"experiment"}, false},
       {"SQLiteCpp/", {"archive"}, false},
       {"sqlite3", {"archive"}, false},
-      {"linux/can", {"drivers/can", "tools"}, true},
+      {"linux/can", {"drivers/can"}, true},
       {"gpiod", {"drivers/gpio"}, false},
       {"mosquitto", {"publish"}, false},
       {"pqxx", {"publish"}, false},
       {"sparkplug_b.pb", {"publish"}, false},
       {"boost/math/distributions", {"statistics"}, false},
-      {"boost/asio", {"tools"}, false},
-      {"boost/beast", {"tools"}, false},
-      {"CLI/", {"tools"}, true},
+      {"boost/asio", {"http"}, false},
+      {"boost/beast", {"http"}, false},
+      {"systemd/", {"daemon"}, false},
+      {"CLI/", {"tools/clampd", "tools/clampctl", "tools/clampd-plant"}, true},
   };
   return kRules;
 }
@@ -88,8 +63,8 @@ std::optional<std::string_view> room_of(std::string_view path) {
   if (const auto room = component(path, "clampd/")) return room;
   if (const auto room = component(path, "src/")) return room;
   if (starts_with(path, "rt/")) return "rt";
-  if (const auto room = component(path, "drivers/")) return path.substr(0, 8 + room->size());
-  if (starts_with(path, "tools/")) return "tools";
+  for (const std::string_view folder : {"drivers/", "tools/"})
+    if (const auto room = component(path, folder)) return path.substr(0, folder.size() + room->size());
   if (starts_with(path, "tests/")) return "tests";
   return std::nullopt;
 }
@@ -155,26 +130,32 @@ bool is_realtime_path(std::string_view path, std::string_view room) {
   return room == "control" || (room == "rt" && !is_setup_code);
 }
 
-void check_includes(const std::string& path, std::string_view room, std::string_view content,
-                    std::vector<std::string>& found) {
+struct Include {
+  std::string path;
+  std::size_t line;
+};
+
+std::vector<Include> includes_of(std::string_view content) {
   static const std::regex kInclude(R"re((?:^|\n)[ \t]*#[ \t]*include[ \t]*[<"]([^>"\n]+)[>"])re");
   const std::string code = code_only(content, true);
+  std::vector<Include> includes;
+  for (std::sregex_iterator match(code.begin(), code.end(), kInclude), end; match != end; ++match)
+    includes.push_back({(*match)[1], line_of(code, static_cast<std::size_t>(match->position(1)))});
+  return includes;
+}
+
+void check_includes(const std::string& path, std::string_view room, std::string_view content, std::vector<std::string>& found) {
   const bool is_public_header = starts_with(path, "include/");
-  for (std::sregex_iterator match(code.begin(), code.end(), kInclude), end; match != end; ++match) {
-    const std::string include = (*match)[1];
-    const std::size_t line = line_of(code, static_cast<std::size_t>(match->position(1)));
+  for (const auto& [include, line] : includes_of(content)) {
     if (include.find("..") != std::string::npos)
-      found.push_back(
-          fmt::format("{}:{}: includes {} by a path that leaves its folder", path, line, include));
+      found.push_back(fmt::format("{}:{}: includes {} by a path that leaves its folder", path, line, include));
     const auto target = room_of(include);
-    if (target && *target != room && room != "tools") {
-      const auto allowed = arrows().find(room);
-      if (allowed == arrows().end())
+    if (target && *target != room) {
+      const Rooms* allowed = arrows_of(room);
+      if (allowed == nullptr)
         found.push_back(fmt::format("{}:{}: room {} has no arrows yet: decide them", path, line, room));
-      else if (std::find(allowed->second.begin(), allowed->second.end(), *target) == allowed->second.end() &&
-               !is_allowed_exception(room, include))
-        found.push_back(
-            fmt::format("{}:{}: {} must not include {} (room {})", path, line, room, include, *target));
+      else if (std::find(allowed->begin(), allowed->end(), *target) == allowed->end())
+        found.push_back(fmt::format("{}:{}: {} must not include {} (room {})", path, line, room, include, *target));
     }
     for (const LibraryRule& rule : library_rules()) {  // the first that fits
       if (target || !starts_with(include, rule.prefix)) continue;
@@ -220,6 +201,46 @@ void check_marks(const std::string& path, const std::string& code, std::vector<s
 }
 
 }  // namespace
+
+const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
+  static const std::vector<std::pair<std::string_view, Rooms>> kArrows{
+      {"base", {}},
+      {"statistics", {"base"}},
+      {"record", {"base"}},
+      {"ports", {"record", "base"}},
+      {"parameters", {"record", "base"}},
+      {"control", {"record", "base"}},
+      {"brake", {"parameters", "record", "base"}},
+      {"identify", {"brake", "parameters", "record", "statistics", "base"}},
+      {"experiment", {"control", "identify", "brake", "parameters", "record", "statistics", "base"}},
+      {"diagnose", {"experiment", "identify", "brake", "parameters", "record", "statistics", "base"}},
+      {"station", {"diagnose", "identify", "brake", "parameters", "ports", "record", "base"}},
+      {"archive", {"record", "base"}},
+      {"publish", {"archive", "record", "base"}},
+      {"line", {"archive", "station", "record", "statistics", "base"}},
+      {"views", {"line", "archive", "station", "diagnose", "record", "base"}},
+      {"rt", {"control", "ports", "record", "base"}},
+      {"drivers/can", {"ports", "record", "base"}},
+      {"drivers/gpio", {"ports", "record", "base"}},
+      {"drivers/sim", {"parameters", "ports", "record", "base"}},
+      {"simulation", {"rt", "drivers/can", "drivers/sim", "experiment", "brake", "parameters", "record", "base"}},
+      {"bench",
+       {"simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "publish", "archive", "station", "experiment", "identify",
+        "brake", "record", "base"}},
+      {"http", {"base"}},
+      {"api", {"http", "rt", "archive", "station", "record", "base"}},
+      {"daemon", {"api", "bench", "rt", "drivers/can", "drivers/gpio", "views", "line", "archive", "record", "base"}},
+      {"tools/cli", {"record", "base"}},
+      {"tools/dashboard", {"api"}},
+      {"tools/reproduce", {"simulation", "views", "experiment", "identify", "record", "base"}},
+      {"tools/clampd-plant", {"tools/cli", "simulation", "rt", "drivers/can", "base"}},
+      {"tools/clampd", {"tools/dashboard", "tools/cli", "daemon", "api", "bench", "drivers/gpio", "base"}},
+      {"tools/clampctl",
+       {"tools/reproduce", "tools/cli", "api", "bench", "simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "views", "line",
+        "archive", "station", "diagnose", "experiment", "identify", "brake", "parameters", "record", "base"}},
+  };
+  return kArrows;
+}
 
 std::vector<std::string> violations(const std::string& path, std::string_view content) {
   std::vector<std::string> found;

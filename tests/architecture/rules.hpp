@@ -2,9 +2,16 @@
 
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 namespace clampd::architecture {
+
+using Rooms = std::vector<std::string_view>;
+
+/// THE arrows: what each room may include besides itself. Rooms of `drivers` and `tools` are their folders; `rt` is one room. A room
+/// names only rooms above its own line, so that nothing goes in circles.
+const std::vector<std::pair<std::string_view, Rooms>>& arrows();
 
 /// Every breach of ARCHITECTURE.md's rules in one source file, as "path:line: what is wrong".
 /// `path` is relative to the source tree and decides which rules apply; files of tests/ are free.

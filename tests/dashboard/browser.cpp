@@ -8,9 +8,9 @@
 
 #include <openssl/evp.h>
 
+#include "clampd/http/client.hpp"
 #include "support/eventually.hpp"
 #include "support/network.hpp"
-#include "tools/http/client.hpp"
 
 namespace clampd::screen {
 

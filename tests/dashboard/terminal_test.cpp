@@ -14,11 +14,11 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include "clampd/http/client.hpp"
 #include "dashboard/program.hpp"
 #include "support/eventually.hpp"
 #include "support/network.hpp"
 #include "support/temporary_directory.hpp"
-#include "tools/http/client.hpp"
 
 namespace clampd::screen {
 namespace {

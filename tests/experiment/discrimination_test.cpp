@@ -13,7 +13,7 @@
 #include "clampd/experiment/reference.hpp"
 #include "clampd/experiment/robust_design.hpp"
 #include "clampd/identify/extended_fit.hpp"
-#include "tools/simulation/simulate.hpp"
+#include "clampd/simulation/simulate.hpp"
 
 namespace clampd {
 namespace {

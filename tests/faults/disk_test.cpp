@@ -30,7 +30,7 @@ TEST(Disk, ThatIsFullReleasesNoBrakeAndLosesNoResult) {
   Station station;
   station.start();
   ASSERT_TRUE(station.wait_for_idle());
-  const control::Client& client = station.client();
+  const api::Client& client = station.client();
   ASSERT_TRUE(client.start({.serial = "BEFORE"}));
   EXPECT_EQ(station.finished().at("verdict"), "PASS");
 

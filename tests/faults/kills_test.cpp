@@ -58,7 +58,7 @@ class Victim {
  private:
   /// A restart never goes on with anything: no check, no torque, and IDLE by itself.
   void begin() {
-    const control::StationStatus first = station_.start();
+    const api::StationStatus first = station_.start();
     EXPECT_TRUE(first.state == "INIT" || first.state == "IDLE") << first.state;
     EXPECT_EQ(first.check, 0U);
     EXPECT_EQ(first.last_verdict, "");

@@ -26,12 +26,12 @@ port = {}
                                                              port_, support::free_port()));
 }
 
-control::StationStatus Station::start() {
+api::StationStatus Station::start() {
   program_.emplace(std::vector<std::string>{CLAMPD, "--simulated", "--config", configuration_},
                    folder_.path("log"));
-  Result<control::StationStatus> status;
+  Result<api::StationStatus> status;
   EXPECT_TRUE(eventually([&] { return (status = client_.status()).has_value(); })) << log();
-  return status.value_or(control::StationStatus{});
+  return status.value_or(api::StationStatus{});
 }
 
 bool Station::wait_for_idle() const {

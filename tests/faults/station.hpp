@@ -3,9 +3,9 @@
 #include <optional>
 #include <string>
 
+#include "clampd/api/messages.hpp"
 #include "dashboard/program.hpp"
 #include "support/temporary_directory.hpp"
-#include "tools/control/messages.hpp"
 
 namespace clampd::faults {
 
@@ -16,7 +16,7 @@ class Station {
   Station();
 
   /// Starts the program and waits until it answers: its first status.
-  control::StationStatus start();
+  api::StationStatus start();
   /// Waits until a check may begin; false if that does not come.
   bool wait_for_idle() const;
   /// Waits for a finished check: its document.
@@ -24,7 +24,7 @@ class Station {
   /// Sends the signal and waits for the end: its exit code, -signal if it was killed.
   int end(int signal);
 
-  const control::Client& client() const { return client_; }
+  const api::Client& client() const { return client_; }
   int port() const { return port_; }
   /// The control API's; empty before the daemon has made it.
   std::string token() const { return folder_.read("token").substr(0, 64); }
@@ -37,7 +37,7 @@ class Station {
   support::TemporaryDirectory folder_;
   int port_;
   std::string configuration_;
-  control::Client client_;
+  api::Client client_;
   std::optional<screen::Program> program_;
 };
 

@@ -15,10 +15,10 @@ namespace {
 using support::eventually;
 using ::testing::HasSubstr;
 
-control::StationStatus status_of(const Station& station) {
-  const Result<control::StationStatus> status = station.client().status();
+api::StationStatus status_of(const Station& station) {
+  const Result<api::StationStatus> status = station.client().status();
   EXPECT_TRUE(status) << station.log();
-  return status.value_or(control::StationStatus{});
+  return status.value_or(api::StationStatus{});
 }
 
 CheckRecord on_record(const Station& station, const std::string& id) {
@@ -30,22 +30,22 @@ CheckRecord on_record(const Station& station, const std::string& id) {
 }
 
 /// Twenty runs, so that there is time to meet the brake at the top of one.
-control::StartedCheck start_and_clamp(const Station& station) {
-  const Result<control::StartedCheck> started = station.client().start({.serial = "CLAMPED", .repeats = 20});
+api::StartedCheck start_and_clamp(const Station& station) {
+  const Result<api::StartedCheck> started = station.client().start({.serial = "CLAMPED", .repeats = 20});
   EXPECT_TRUE(started);
   EXPECT_TRUE(eventually([&] { return status_of(station).force_N > 5'000.0; })) << station.log();
-  return started.value_or(control::StartedCheck{});
+  return started.value_or(api::StartedCheck{});
 }
 
 TEST(Stop, LeavesABrakeThatIsSaidToBeClampedUntilItIsOpened) {
   Station station;
   station.start();
   ASSERT_TRUE(station.wait_for_idle());
-  const control::Client& client = station.client();
-  const control::StartedCheck check = start_and_clamp(station);
+  const api::Client& client = station.client();
+  const api::StartedCheck check = start_and_clamp(station);
   ASSERT_TRUE(client.stop());
   ASSERT_TRUE(eventually([&] {
-    const control::StationStatus status = status_of(station);
+    const api::StationStatus status = status_of(station);
     return status.stops == 1 && status.stops_taken == 1;
   })) << station.log();
   EXPECT_EQ(status_of(station).state, "FAULT");
@@ -60,7 +60,7 @@ TEST(Stop, LeavesABrakeThatIsSaidToBeClampedUntilItIsOpened) {
   const auto opening = client.open();
   ASSERT_TRUE(opening) << opening.error().message;
   ASSERT_TRUE(eventually([&] { return !status_of(station).opening; })) << station.log();
-  const control::StationStatus open = status_of(station);
+  const api::StationStatus open = status_of(station);
   EXPECT_EQ(open.open_id, *opening);
   EXPECT_EQ(open.open_result, "OPEN") << open.open_reason;
   EXPECT_TRUE(eventually([&] { return !status_of(station).clamped; }));
@@ -72,7 +72,7 @@ TEST(Stop, VoidsAStartWhoseAskerHasNotSeenIt) {
   Station station;
   station.start();
   ASSERT_TRUE(station.wait_for_idle());
-  const control::Client& client = station.client();
+  const api::Client& client = station.client();
   const std::uint64_t seen = status_of(station).stops;
   ASSERT_TRUE(client.stop());
   const auto late = client.start({.serial = "LATE"}, seen);
@@ -88,7 +88,7 @@ TEST(StationEnd, IsSaidByTheRecordOfTheCheckThatItEnded) {
   Station station;
   station.start();
   ASSERT_TRUE(station.wait_for_idle());
-  const control::StartedCheck check = start_and_clamp(station);
+  const api::StartedCheck check = start_and_clamp(station);
   EXPECT_EQ(station.end(SIGTERM), 0) << station.log();
   const CheckRecord record = on_record(station, check.id);
   EXPECT_EQ(record.verdict, Verdict::Aborted);
@@ -99,7 +99,7 @@ TEST(StationEnd, ThatWasAKillLeavesARecordAtTheNextStart) {
   Station station;
   station.start();
   ASSERT_TRUE(station.wait_for_idle());
-  const control::StartedCheck check = start_and_clamp(station);
+  const api::StartedCheck check = start_and_clamp(station);
   EXPECT_EQ(station.end(SIGKILL), -SIGKILL);
   station.start();
   ASSERT_TRUE(eventually([&] {

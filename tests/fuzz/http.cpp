@@ -16,13 +16,14 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include "clampd/api/control_server.hpp"
 #include "clampd/archive/store.hpp"
 #include "clampd/base/assert.hpp"
+#include "clampd/daemon/daemon.hpp"
 #include "support/check_records.hpp"
 #include "support/network.hpp"
 #include "support/temporary_directory.hpp"
-#include "tools/clampd/control_server.hpp"
-#include "tools/clampd/daemon.hpp"
+#include "tools/dashboard/assets.hpp"
 
 namespace {
 
@@ -42,17 +43,17 @@ class Station {
     configuration.control.port = 0;  // any
     configuration.control.token_file = folder_.write("token", std::string(kToken) + "\n");
     ::chmod(configuration.control.token_file.c_str(), 0600);
-    auto prepared = assembly::prepare_station(configuration);
-    auto plant = assembly::load_plant("");
+    auto prepared = bench::prepare_station(configuration);
+    auto plant = bench::load_plant("");
     auto store = CheckStore::open(configuration.database);
     CLAMPD_ASSERT(prepared && plant && store);
-    station_ = std::make_unique<assembly::PreparedStation>(std::move(*prepared));
+    station_ = std::make_unique<bench::PreparedStation>(std::move(*prepared));
     store_ = std::make_unique<CheckStore>(std::move(*store));
     for (const char* id : {"20261120T234107123Z-9f3a61c2", "20261121T080000000Z-00000001"})
       CLAMPD_ASSERT(store_->save(support::make_check_record(id)));
-    bench_ = std::make_unique<assembly::SimulatedBench>(*station_, *plant);
+    bench_ = std::make_unique<bench::SimulatedBench>(*station_, *plant);
     daemon_ = std::make_unique<daemon::Daemon>(*station_, *bench_, *store_);
-    auto server = daemon::ControlServer::start(*daemon_, configuration.control);
+    auto server = api::ControlServer::start(*daemon_, configuration.control, dashboard::assets());
     CLAMPD_ASSERT(server);
     server_ = std::move(*server);
   }
@@ -83,11 +84,11 @@ class Station {
 
  private:
   support::TemporaryDirectory folder_;
-  std::unique_ptr<assembly::PreparedStation> station_;
+  std::unique_ptr<bench::PreparedStation> station_;
   std::unique_ptr<CheckStore> store_;
-  std::unique_ptr<assembly::SimulatedBench> bench_;
+  std::unique_ptr<bench::SimulatedBench> bench_;
   std::unique_ptr<daemon::Daemon> daemon_;
-  std::unique_ptr<daemon::ControlServer> server_;
+  std::unique_ptr<api::ControlServer> server_;
 };
 
 }  // namespace

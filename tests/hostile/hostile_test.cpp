@@ -15,10 +15,10 @@
 #include <gtest/gtest.h>
 
 #include "clampd/archive/store.hpp"
+#include "clampd/http/client.hpp"
 #include "faults/station.hpp"
 #include "support/check_records.hpp"
 #include "support/connection.hpp"
-#include "tools/http/client.hpp"
 
 namespace clampd::faults {
 namespace {

@@ -11,10 +11,10 @@
 #include "clampd/experiment/manoeuvres.hpp"
 #include "clampd/experiment/reference.hpp"
 #include "clampd/identify/profile.hpp"
+#include "clampd/simulation/simulate.hpp"
 #include "drivers/sim/effects.hpp"
 #include "support/excitation.hpp"
 #include "tests/identify/noisy_brake.hpp"
-#include "tools/simulation/simulate.hpp"
 
 namespace clampd::support {
 

@@ -17,8 +17,8 @@
 #include "clampd/experiment/reference.hpp"
 #include "clampd/identify/prediction_error.hpp"
 #include "clampd/record/run.hpp"
+#include "clampd/simulation/simulate.hpp"
 #include "drivers/sim/plant_configuration.hpp"
-#include "tools/simulation/simulate.hpp"
 
 namespace clampd {
 namespace {

@@ -1,6 +1,6 @@
 // The switches of the panel as the tick meets them: in every state, in virtual time.
 
-#include "clampd/record/interlocks.hpp"
+#include "clampd/ports/interlocks.hpp"
 
 #include <atomic>
 #include <string>

@@ -10,8 +10,8 @@
 #include "clampd/base/clock.hpp"
 #include "clampd/experiment/manoeuvres.hpp"
 #include "rt/control_core.hpp"
+#include "tests/bench/embedded_check.hpp"
 #include "tests/scenario/scenario.hpp"
-#include "tests/tools/embedded_check.hpp"
 
 namespace clampd::scenario {
 namespace {
@@ -136,7 +136,7 @@ void count(SpoilTally& tally, const sim::SpoiledReading& spoiled, const CheckOut
 
 /// What the supervisor lets pass, the estimate has to notice: the same brake in a whole check.
 std::string judge(SpoilTally& tally, const sim::PlantConfiguration& plant) {
-  const Result<CheckRecord> checked = assembly::try_check(plant, 20);
+  const Result<CheckRecord> checked = bench::try_check(plant, 20);
   if (!checked) {
     ++tally.errors;
     return "refused: " + checked.error().message;

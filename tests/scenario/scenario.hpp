@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "clampd/experiment/reference.hpp"
-#include "tools/simulation/simulate.hpp"
+#include "clampd/simulation/simulate.hpp"
 
 namespace clampd::scenario {
 

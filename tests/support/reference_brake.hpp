@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "clampd/brake/parameters.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 
 namespace clampd::support {
 

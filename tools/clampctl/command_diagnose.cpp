@@ -10,16 +10,16 @@
 #include "clampd/diagnose/diagnosis.hpp"
 #include "clampd/diagnose/drive_diagnosis.hpp"
 #include "clampd/diagnose/drive_model.hpp"
+#include "clampd/diagnose/settle.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
-#include "clampd/report/figure.hpp"
+#include "clampd/views/diagnosis_json.hpp"
+#include "clampd/views/diagnosis_report.hpp"
+#include "clampd/views/diagnosis_text.hpp"
+#include "clampd/views/figure.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
-#include "tools/diagnosis/json.hpp"
-#include "tools/diagnosis/report.hpp"
-#include "tools/diagnosis/settle.hpp"
-#include "tools/diagnosis/summary.hpp"
 
 namespace clampd::ctl {
 

@@ -5,11 +5,11 @@
 #include <unistd.h>
 #include <nlohmann/json.hpp>
 
+#include "clampd/bench/prepared_station.hpp"
+#include "clampd/bench/publishing.hpp"
 #include "drivers/can/socketcan.hpp"
 #include "drivers/gpio/lines.hpp"
 #include "rt/readiness.hpp"
-#include "tools/assembly/prepared_station.hpp"
-#include "tools/assembly/publishing.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
@@ -95,14 +95,14 @@ void examine_panel(const gpio::PanelSettings& panel, std::vector<ReadinessFact>&
 
 void examine_publishing(const StationConfiguration& configuration, std::vector<ReadinessFact>& facts) {
   const Result<CheckStore> store = CheckStore::open(configuration.database, CheckStore::Access::ReadOnly);
-  for (const assembly::ChannelReport& channel :
-       assembly::try_channels(configuration, store ? &*store : nullptr)) {
+  for (const bench::ChannelReport& channel :
+       bench::try_channels(configuration, store ? &*store : nullptr)) {
     facts.push_back({"publishing, " + channel.channel,
                      channel.error.empty() ? ReadinessStatus::Ok : ReadinessStatus::Warn,
                      fmt::format("{} {}, {}", channel.where, channel.connected ? "answers" : "cannot be used",
-                                 assembly::waiting_text(channel.pending, channel.oldest_age_s)),
+                                 bench::waiting_text(channel.pending, channel.oldest_age_s)),
                      channel.error});
-    if (const std::string warning = assembly::password_warning(configuration, channel.channel);
+    if (const std::string warning = bench::password_warning(configuration, channel.channel);
         !warning.empty())
       facts.push_back({"password, " + channel.channel, ReadinessStatus::Warn, "not protected", warning});
   }
@@ -121,9 +121,9 @@ void print_facts(const std::vector<ReadinessFact>& facts) {
 }
 
 int doctor(const DoctorOptions& options, const CommonOptions& common) {
-  const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
+  const Result<StationConfiguration> configuration = bench::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
-  const Result<assembly::PreparedStation> station = assembly::prepare_station(*configuration);
+  const Result<bench::PreparedStation> station = bench::prepare_station(*configuration);
   if (!station) return cli::refuse(station.error());
   const std::string interface = options.interface.empty() ? configuration->can.interface : options.interface;
   if (!options.interface.empty())

@@ -5,13 +5,14 @@
 #include <CLI/CLI.hpp>
 
 #include "clampd/archive/store.hpp"
+#include "clampd/bench/prepared_station.hpp"
+#include "clampd/line/gauge_study.hpp"
 #include "clampd/record/file.hpp"
-#include "tools/assembly/prepared_station.hpp"
+#include "clampd/views/gauge_view.hpp"
 #include "tools/clampctl/check_selection.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
-#include "tools/records/gauge_study.hpp"
 
 namespace clampd::ctl {
 
@@ -50,7 +51,7 @@ Result<std::vector<GaugeQuantity>> from_file(const GaugeCommandOptions& options)
 
 Result<std::vector<GaugeQuantity>> from_archive(const GaugeCommandOptions& options,
                                                 const CommonOptions& common) {
-  return assembly::load_configuration(common.config).and_then([&](const StationConfiguration& configuration) {
+  return bench::load_configuration(common.config).and_then([&](const StationConfiguration& configuration) {
     return CheckStore::open(configuration.database, CheckStore::Access::ReadOnly)
         .and_then([&](const CheckStore& store) { return store.load_results(*options.filter); })
         .and_then([](const std::vector<CheckRecord>& checks) { return gauge_of_checks(checks); });

@@ -3,19 +3,20 @@
 #include <fmt/format.h>
 
 #include "clampd/archive/store.hpp"
+#include "clampd/bench/prepared_station.hpp"
+#include "clampd/line/master.hpp"
 #include "clampd/record/utc.hpp"
-#include "tools/assembly/prepared_station.hpp"
+#include "clampd/views/master_view.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
-#include "tools/records/master.hpp"
 
 namespace clampd::ctl {
 
 namespace {
 
 int master(bool json, const CommonOptions& common) {
-  const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
+  const Result<StationConfiguration> configuration = bench::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
   if (configuration->master.serial.empty())
     return cli::refuse(

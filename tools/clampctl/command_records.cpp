@@ -6,8 +6,8 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/archive/store.hpp"
+#include "clampd/bench/prepared_station.hpp"
 #include "clampd/record/utc.hpp"
-#include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
@@ -50,7 +50,7 @@ std::string format_verification(const std::string& database, const Verification&
 /// The named file, or the configured database.
 Result<std::string> database_of(const std::string& file, const CommonOptions& common) {
   if (!file.empty()) return file;
-  return assembly::load_configuration(common.config).map([](const StationConfiguration& configuration) {
+  return bench::load_configuration(common.config).map([](const StationConfiguration& configuration) {
     return configuration.database;
   });
 }

@@ -3,12 +3,12 @@
 #include <fmt/format.h>
 
 #include "clampd/archive/store.hpp"
+#include "clampd/bench/prepared_station.hpp"
 #include "clampd/record/file.hpp"
-#include "tools/assembly/prepared_station.hpp"
+#include "clampd/views/check_report.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
-#include "tools/records/check_report.hpp"
 
 namespace clampd::ctl {
 
@@ -38,7 +38,7 @@ Result<CheckRecord> chosen_check(const ReportOptions& options, const CheckStore&
 }
 
 int report(const ReportOptions& options, const CommonOptions& common) {
-  const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
+  const Result<StationConfiguration> configuration = bench::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
   const Result<CheckStore> store = CheckStore::open(configuration->database, CheckStore::Access::ReadOnly);
   if (!store) return cli::refuse(store.error());
@@ -52,7 +52,7 @@ int report(const ReportOptions& options, const CommonOptions& common) {
   if (!history) return cli::refuse(history.error());
   contents.history = std::move(*history);
   // Trajectory and guard band are the station's of today: shown only where the check had the same.
-  const Result<assembly::PreparedStation> station = assembly::prepare_station(*configuration);
+  const Result<bench::PreparedStation> station = bench::prepare_station(*configuration);
   if (station && station->trajectory_sha256 == contents.check.trajectory_sha256)
     contents.reference = &station->plan.reference;
   if (station && station->limits.sha256 == contents.check.limits_sha256)

@@ -5,7 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/record/file.hpp"
-#include "clampd/report/figure.hpp"
+#include "clampd/views/figure.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"

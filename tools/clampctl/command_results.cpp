@@ -10,20 +10,20 @@
 #include "clampd/archive/csv.hpp"
 #include "clampd/archive/dfq.hpp"
 #include "clampd/archive/json.hpp"
+#include "clampd/archive/raw_data.hpp"
 #include "clampd/archive/store.hpp"
-#include "clampd/archive/table.hpp"
-#include "clampd/brake/parameters.hpp"
+#include "clampd/bench/prepared_station.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/text.hpp"
 #include "clampd/record/utc.hpp"
-#include "tools/assembly/prepared_station.hpp"
+#include "clampd/views/check_table.hpp"
+#include "clampd/views/retention_view.hpp"
+#include "drivers/can/candump.hpp"
 #include "tools/clampctl/check_selection.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
-#include "tools/records/candump.hpp"
-#include "tools/records/raw_data.hpp"
-#include "tools/records/retention.hpp"
 
 namespace clampd::ctl {
 
@@ -70,7 +70,7 @@ int write_candump(const ResultsOptions& options, const StationConfiguration& con
   if (options.id.empty()) return cli::refuse({"--candump exports one check: give its id, or `last`"});
   const Result<CheckRecord> record = store.load(options.id);
   if (!record) return cli::refuse(record.error());
-  const Result<assembly::PreparedStation> station = assembly::prepare_station(configuration);
+  const Result<bench::PreparedStation> station = bench::prepare_station(configuration);
   if (!station) return cli::refuse(station.error());
   const std::string interface = configuration.embedded() ? "can0" : configuration.can.interface;
   const auto written =
@@ -149,7 +149,7 @@ int mark_void(const ResultsOptions& options, const StationConfiguration& configu
 }
 
 int prune(const ResultsOptions& options, const StationConfiguration& configuration) {
-  const RetentionPolicy policy = retention_policy(configuration);
+  const RetentionPolicy policy = bench::retention_policy(configuration);
   if (policy.keeps_all())
     return cli::refuse(
         {"[retention] keeps all raw runs (raw_days = 0 and raw_megabytes = 0): nothing to remove"});
@@ -167,7 +167,7 @@ int prune(const ResultsOptions& options, const StationConfiguration& configurati
 }
 
 int results(const ResultsOptions& options, const CommonOptions& common) {
-  const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
+  const Result<StationConfiguration> configuration = bench::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
   if (options.prune) return prune(options, *configuration);
   if (options.voiding->count() > 0) return mark_void(options, *configuration);

@@ -7,22 +7,23 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "clampd/api/messages.hpp"
 #include "clampd/archive/json.hpp"
 #include "clampd/archive/store.hpp"
-#include "clampd/archive/table.hpp"
+#include "clampd/bench/embedded_station.hpp"
+#include "clampd/bench/prepared_station.hpp"
+#include "clampd/line/master.hpp"
 #include "clampd/record/utc.hpp"
 #include "clampd/station/session.hpp"
 #include "clampd/station/verdict.hpp"
+#include "clampd/views/check_table.hpp"
+#include "clampd/views/master_view.hpp"
 #include "drivers/can/socketcan.hpp"
 #include "drivers/sim/plant_configuration.hpp"
-#include "tools/assembly/embedded_station.hpp"
-#include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/clampctl/settle_check.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
-#include "tools/control/messages.hpp"
-#include "tools/records/master.hpp"
 
 namespace clampd::ctl {
 
@@ -104,8 +105,8 @@ std::string asked_by_master(const MasterSettings& master, const CheckStore& stor
 }
 
 /// What a daemon says of a check that is not finished.
-void show_progress(cli::ProgressLine& line, const control::CheckProgress& progress,
-                   const Result<control::StationStatus>& status) {
+void show_progress(cli::ProgressLine& line, const api::CheckProgress& progress,
+                   const Result<api::StationStatus>& status) {
   if (!status || !status->judging)
     show_progress(line, progress.phase, progress.repeat, progress.repeats);
   else if (status->cause_searched > 0.0)
@@ -117,9 +118,9 @@ void show_progress(cli::ProgressLine& line, const control::CheckProgress& progre
 int run_embedded(const RunOptions& options, const StationConfiguration& configuration) {
   const std::string& plant_file =
       options.simulated_brake.empty() ? configuration.plant_file : options.simulated_brake;
-  const Result<sim::PlantConfiguration> plant = assembly::load_plant(plant_file);
+  const Result<sim::PlantConfiguration> plant = bench::load_plant(plant_file);
   if (!plant) return cli::refuse(plant.error());
-  Result<assembly::PreparedStation> prepared = assembly::prepare_station(configuration);
+  Result<bench::PreparedStation> prepared = bench::prepare_station(configuration);
   if (!prepared) return cli::refuse(prepared.error());
   Result<CheckStore> store = CheckStore::open(configuration.database);
   if (!store) return cli::refuse(store.error());
@@ -127,7 +128,7 @@ int run_embedded(const RunOptions& options, const StationConfiguration& configur
     return cli::kStation;
 
   cli::ProgressLine line;
-  const assembly::EmbeddedStation::Progress progress = [&line](CheckPhase phase, std::uint32_t repeat,
+  const bench::EmbeddedStation::Progress progress = [&line](CheckPhase phase, std::uint32_t repeat,
                                                                std::uint32_t repeats) {
     show_progress(line, to_string(phase), repeat, repeats);
     return !interrupted;
@@ -136,7 +137,7 @@ int run_embedded(const RunOptions& options, const StationConfiguration& configur
                              line.show(share, "searching for the cause: " + words);
                            },
                            [] { return interrupted.load(); }};
-  assembly::EmbeddedStation station(std::move(*prepared), *plant);
+  bench::EmbeddedStation station(std::move(*prepared), *plant);
   station.watch_search(search);
   Result<CheckRecord> record = station.run_check(options.request, &*store, progress);
   line.clear();
@@ -175,7 +176,7 @@ int daemon_lost(const RunOptions& options, const std::string& id, const std::str
 }
 
 int finish_through_daemon(const RunOptions& options, const StationConfiguration& configuration,
-                          const control::CheckProgress& progress) {
+                          const api::CheckProgress& progress) {
   Finished finished{progress.record, progress.table,
                     exit_code(parse_verdict(progress.record.value("verdict", "")).value_or(Verdict::Error))};
   if (!options.master) return show(options, finished);
@@ -188,7 +189,7 @@ int finish_through_daemon(const RunOptions& options, const StationConfiguration&
 /// Follows this very check, and no other: after a restart of the daemon its numbers begin at 1 again, so that
 /// it is told by its record's id.
 int follow(const RunOptions& options, const StationConfiguration& configuration,
-           const control::Client& daemon, const control::StartedCheck& check) {
+           const api::Client& daemon, const api::StartedCheck& check) {
   using namespace std::chrono_literals;
   cli::ProgressLine line;
   bool stop_sent = false;
@@ -196,13 +197,13 @@ int follow(const RunOptions& options, const StationConfiguration& configuration,
   int failures = 0;
   while (true) {
     if (interrupted && !stop_sent) {
-      const Result<control::StationStatus> status = daemon.status();
+      const Result<api::StationStatus> status = daemon.status();
       brake_was_done = status && status->judging;
       const Result<void> stopped = daemon.stop();
       if (!stopped) cli::print_error(stopped.error().message + "; trying again");
       stop_sent = stopped.has_value();
     }
-    const Result<control::CheckProgress> progress =
+    const Result<api::CheckProgress> progress =
         daemon.progress(options.json != "-" && cli::colours_wanted());
     if (!progress) {
       if (++failures < 3) continue;
@@ -240,9 +241,9 @@ int run_through_daemon(const RunOptions& options, const StationConfiguration& co
          "configuration and no other. Check without --settle, give the runs to `clampctl diagnose`, and let "
          "a "
          "second check replay the experiment that it designs ([check] trajectory)"});
-  const control::Client daemon(configuration.control.address, configuration.control.port,
+  const api::Client daemon(configuration.control.address, configuration.control.port,
                                configuration.control.token_file);
-  const Result<control::StationStatus> status = daemon.status();
+  const Result<api::StationStatus> status = daemon.status();
   if (!status) {
     if (const auto interface = can::inspect_interface(configuration.can.interface); !interface)
       return cli::refuse(interface.error());
@@ -250,7 +251,7 @@ int run_through_daemon(const RunOptions& options, const StationConfiguration& co
     return cli::kStation;
   }
   if (!heed_master(options, configuration.master, status->master)) return cli::kStation;
-  const Result<control::StartedCheck> check = daemon.start(options.request, status->stops);
+  const Result<api::StartedCheck> check = daemon.start(options.request, status->stops);
   if (!check) {
     cli::print_error(check.error().message);
     return cli::kStation;
@@ -266,7 +267,7 @@ Result<Where> where_to_check(const RunOptions& options, const StationConfigurati
   if (!options.simulated_brake.empty()) return Where::InThisProcess;
   if (!configuration.embedded()) return Where::ThroughTheDaemon;
   const ControlSettings& api = configuration.control;
-  const auto answer = control::Client(api.address, api.port, api.token_file).status();
+  const auto answer = api::Client(api.address, api.port, api.token_file).status();
   if (!answer) return Where::InThisProcess;
   if (answer->simulated) return Where::ThroughTheDaemon;
   return failure(fmt::format(
@@ -276,7 +277,7 @@ Result<Where> where_to_check(const RunOptions& options, const StationConfigurati
 }
 
 int run(RunOptions options, const CommonOptions& common) {
-  Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
+  Result<StationConfiguration> configuration = bench::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
   if (options.master) {
     options.request.serial = configuration->master.serial;

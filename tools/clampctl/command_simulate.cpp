@@ -3,18 +3,18 @@
 
 #include <fmt/format.h>
 
+#include "clampd/bench/builtin.hpp"
+#include "clampd/bench/prepared_station.hpp"
 #include "clampd/experiment/manoeuvres.hpp"
 #include "clampd/experiment/reference.hpp"
 #include "clampd/record/run.hpp"
+#include "clampd/simulation/saved_model.hpp"
+#include "clampd/simulation/simulate.hpp"
 #include "drivers/sim/effects.hpp"
 #include "drivers/sim/plant_configuration.hpp"
-#include "tools/assembly/builtin.hpp"
-#include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
-#include "tools/simulation/saved_model.hpp"
-#include "tools/simulation/simulate.hpp"
 
 namespace clampd::ctl {
 
@@ -44,8 +44,8 @@ std::uint64_t seed_for(std::uint64_t seed, std::string_view manoeuvre) {
 Result<sim::PlantConfiguration> load_simulated_brake(const std::string& path) {
   const Result<ExtendedParameters> model =
       path.empty() ? Result<ExtendedParameters>(ExtendedParameters{}) : read_extended_parameters(path);
-  if (!model || model->effects.empty()) return assembly::load_plant(path);
-  Result<sim::PlantConfiguration> plant = assembly::load_plant({});
+  if (!model || model->effects.empty()) return bench::load_plant(path);
+  Result<sim::PlantConfiguration> plant = bench::load_plant({});
   if (!plant) return plant;
   plant->brake = model->base;
   const Result<sim::Effects> effects = simulated_effects(*model);
@@ -91,7 +91,7 @@ int simulate(const SimulateOptions& options) {
   if (!plant) return cli::refuse(plant.error());
   const Result<LoadedRun> optimal =
       options.trajectory.empty()
-          ? parse_run(std::string(assembly::kBuiltinTrajectory), "built-in trajectory.csv")
+          ? parse_run(std::string(bench::kBuiltinTrajectory), "built-in trajectory.csv")
           : read_run(options.trajectory);
   if (!optimal) return cli::refuse(optimal.error());
   // What a station knows of the brake is the nominal one, whatever the simulated brake really is.

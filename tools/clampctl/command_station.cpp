@@ -7,12 +7,12 @@
 
 #include <fmt/format.h>
 
+#include "clampd/api/messages.hpp"
+#include "clampd/bench/prepared_station.hpp"
+#include "clampd/bench/publishing.hpp"
 #include "clampd/station/verdict.hpp"
-#include "tools/assembly/prepared_station.hpp"
-#include "tools/assembly/publishing.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/terminal.hpp"
-#include "tools/control/messages.hpp"
 
 namespace clampd::ctl {
 
@@ -26,9 +26,9 @@ int report(const Error& error, int exit_code) {
 /// Runs `ask` with a client of the configured daemon.
 template <class Ask>
 int with_daemon(const CommonOptions& common, Ask ask) {
-  const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
+  const Result<StationConfiguration> configuration = bench::load_configuration(common.config);
   if (!configuration) return report(configuration.error(), cli::kBadInput);
-  const control::Client daemon(configuration->control.address, configuration->control.port,
+  const api::Client daemon(configuration->control.address, configuration->control.port,
                                configuration->control.token_file);
   // One may run on a simulated brake all the same.
   if (configuration->embedded() && !daemon.status())
@@ -41,16 +41,16 @@ int with_daemon(const CommonOptions& common, Ask ask) {
 
 using namespace std::chrono_literals;
 
-std::string clamped_text(const control::StationStatus& status) {
+std::string clamped_text(const api::StationStatus& status) {
   return fmt::format("the brake is CLAMPED: {:.0f} N stand on it; `clampctl open` opens it",
                      status.clamped_N);
 }
 
 /// Waits until the loop confirms the stop, which takes a millisecond.
-int stop_brake(const control::Client& daemon) {
+int stop_brake(const api::Client& daemon) {
   if (const Result<void> asked = daemon.stop(); !asked) return report(asked.error(), cli::kStation);
   for (int i = 0; i < 40; ++i) {
-    const Result<control::StationStatus> status = daemon.status();
+    const Result<api::StationStatus> status = daemon.status();
     if (!status) return report(status.error(), cli::kStation);
     if (status->stops_taken >= status->stops) {
       fmt::print("stopped; the station is in {}\n", status->state);
@@ -66,7 +66,7 @@ int stop_brake(const control::Client& daemon) {
 std::atomic<bool> opening_interrupted{false};
 
 /// Follows the opening to its end; Ctrl-C stops the brake.
-int open_brake(const control::Client& daemon) {
+int open_brake(const api::Client& daemon) {
   opening_interrupted = false;
   struct sigaction action {};
   action.sa_handler = [](int) { opening_interrupted = true; };
@@ -77,7 +77,7 @@ int open_brake(const control::Client& daemon) {
   while (true) {
     if (opening_interrupted.exchange(false))
       if (const Result<void> stopped = daemon.stop(); !stopped) cli::print_error(stopped.error().message);
-    const Result<control::StationStatus> status = daemon.status();
+    const Result<api::StationStatus> status = daemon.status();
     if (!status) return report(status.error(), cli::kStation);
     if (status->open_id != *id)
       return report({"the station's daemon was restarted while the brake was being opened; look at the rig"},
@@ -93,7 +93,7 @@ int open_brake(const control::Client& daemon) {
   }
 }
 
-void print_status(const control::StationStatus& status) {
+void print_status(const api::StationStatus& status) {
   fmt::print("{}  {}{}\n", status.station, status.state, status.simulated ? "  (simulated brake)" : "");
   if (status.clamped) fmt::print("\n  {}\n\n", clamped_text(status));
   if (status.opening) fmt::print("  opening    under way\n");
@@ -120,10 +120,10 @@ void print_status(const control::StationStatus& status) {
   if (!status.clock.empty()) fmt::print("  clock      {}\n", status.clock);
   if (!status.notice.empty()) fmt::print("  notice     {}\n", status.notice);
   if (!status.master.empty()) fmt::print("  master     {}\n", status.master);
-  for (const control::PublishingChannel& channel : status.publishing) {
+  for (const api::PublishingChannel& channel : status.publishing) {
     fmt::print("  {:<10} {}: {}{}\n", channel.channel, channel.where,
                channel.connected ? "" : "not connected, ",
-               assembly::waiting_text(channel.pending, channel.oldest_age_s));
+               bench::waiting_text(channel.pending, channel.oldest_age_s));
     if (!channel.error.empty()) fmt::print("             {}\n", channel.error);
   }
   fmt::print("  software   {}\n", status.version);
@@ -136,8 +136,8 @@ void add_station_commands(CLI::App& app, const CommonOptions& common, int& exit_
   CLI::App* status = app.add_subcommand("status", "what the station is doing now");
   status->add_flag("--json", *json, "as JSON on standard output");
   status->callback([json, &common, &exit_code] {
-    exit_code = with_daemon(common, [&](const control::Client& daemon) {
-      const Result<control::StationStatus> now = daemon.status();
+    exit_code = with_daemon(common, [&](const api::Client& daemon) {
+      const Result<api::StationStatus> now = daemon.status();
       if (!now) return report(now.error(), cli::kStation);
       if (*json)
         fmt::print("{}\n", nlohmann::ordered_json(nlohmann::json(*now)).dump(2));
@@ -152,7 +152,7 @@ void add_station_commands(CLI::App& app, const CommonOptions& common, int& exit_
       app.add_subcommand("next", "the brake that the start button of the operator's panel checks");
   add_request_options(*next, *request);
   next->callback([request, &common, &exit_code] {
-    exit_code = with_daemon(common, [&](const control::Client& daemon) {
+    exit_code = with_daemon(common, [&](const api::Client& daemon) {
       const Result<void> taken = daemon.next(*request);
       return taken ? static_cast<int>(cli::kSuccess) : report(taken.error(), cli::kStation);
     });
@@ -166,7 +166,7 @@ void add_station_commands(CLI::App& app, const CommonOptions& common, int& exit_
       ->callback([&common, &exit_code] { exit_code = with_daemon(common, open_brake); });
 
   app.add_subcommand("clear", "clear a fault whose cause is gone")->callback([&common, &exit_code] {
-    exit_code = with_daemon(common, [](const control::Client& daemon) {
+    exit_code = with_daemon(common, [](const api::Client& daemon) {
       const Result<void> cleared = daemon.clear();
       if (!cleared) return report(cleared.error(), cli::kStation);
       fmt::print("cleared\n");

@@ -3,13 +3,14 @@
 #include <fmt/format.h>
 
 #include "clampd/archive/store.hpp"
-#include "tools/assembly/prepared_station.hpp"
+#include "clampd/bench/prepared_station.hpp"
+#include "clampd/line/line_statistics.hpp"
+#include "clampd/views/limits_view.hpp"
+#include "clampd/views/line_statistics_view.hpp"
 #include "tools/clampctl/check_selection.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
-#include "tools/records/limits_view.hpp"
-#include "tools/records/line_statistics.hpp"
 
 namespace clampd::ctl {
 
@@ -18,7 +19,7 @@ namespace {
 constexpr std::uint32_t kMaxChecks = 1'000'000;
 
 int statistics(const CheckFilter& filter, bool json, const CommonOptions& common) {
-  const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
+  const Result<StationConfiguration> configuration = bench::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
   const Result<CheckStore> store = CheckStore::open(configuration->database, CheckStore::Access::ReadOnly);
   if (!store) return cli::refuse(store.error());
@@ -33,7 +34,7 @@ int statistics(const CheckFilter& filter, bool json, const CommonOptions& common
 }
 
 int limits(bool json, const CommonOptions& common) {
-  const Result<StationConfiguration> configuration = assembly::load_configuration(common.config);
+  const Result<StationConfiguration> configuration = bench::load_configuration(common.config);
   if (!configuration) return cli::refuse(configuration.error());
   const Result<CheckStore> store = CheckStore::open(configuration->database, CheckStore::Access::ReadOnly);
   if (!store) return cli::refuse(store.error());

@@ -14,14 +14,14 @@
 
 #include <fmt/format.h>
 
+#include "clampd/api/messages.hpp"
+#include "clampd/api/secret_file.hpp"
+#include "clampd/bench/prepared_station.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/utc.hpp"
-#include "tools/assembly/prepared_station.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
-#include "tools/control/messages.hpp"
-#include "tools/control/secret_file.hpp"
 
 namespace clampd::ctl {
 
@@ -51,7 +51,7 @@ std::string banner(const std::string& text, const char* code, bool colour) {
   return line + fmt::format("  \033[{}m{:^60}\033[0m\n", code, text) + line;
 }
 
-std::string headline(const control::StationStatus& status) {
+std::string headline(const api::StationStatus& status) {
   std::string text = status.state;
   if (status.clamped) text += fmt::format("  CLAMPED {:.0f} kN", status.clamped_N * 1e-3);
   if (status.opening) text += "  opening";
@@ -68,14 +68,14 @@ std::string headline(const control::StationStatus& status) {
 }
 
 /// What a line of a log is worth: not every sample, but every other state, run and verdict.
-std::string log_line(const control::StationStatus& status) {
+std::string log_line(const api::StationStatus& status) {
   std::string text = headline(status);
   if (status.fault != "none")
     text += fmt::format(": {}{}", status.fault_text, status.clearable ? " Its cause is gone." : "");
   return text;
 }
 
-std::string screen(const control::StationStatus& status, bool colour) {
+std::string screen(const api::StationStatus& status, bool colour) {
   const auto paint = [colour](const char* code, const std::string& text) {
     return colour ? fmt::format("\033[{}m{}\033[0m", code, text) : text;
   };
@@ -102,14 +102,14 @@ std::string screen(const control::StationStatus& status, bool colour) {
                       status.realtime ? "" : " (not a real-time thread)");
   text += fmt::format("  bus      {} {}, load {:.0f} %\n", status.interface, status.link,
                       100.0 * status.bus_load);
-  for (const control::PanelLine& line : status.panel)
+  for (const api::PanelLine& line : status.panel)
     text += fmt::format("  panel    {:<7} {}\n", line.state, line.line);
   if (status.fault != "none")
     text +=
         fmt::format("\n  {}\n  {}\n", paint("31", status.fault_text),
                     status.clearable ? "its cause is gone: `clampctl clear`" : "its cause is still there");
   if (!status.next_serial.empty()) text += fmt::format("  next     {}\n", status.next_serial);
-  for (const control::PublishingChannel& channel : status.publishing)
+  for (const api::PublishingChannel& channel : status.publishing)
     text += fmt::format("  publish  {} ({}): {}, {} checks wait{}{}\n", channel.channel, channel.where,
                         channel.connected ? "connected" : "not connected", channel.pending,
                         channel.error.empty() ? "" : "; ", channel.error);
@@ -129,11 +129,11 @@ void redraw(const std::string& text) {
   std::fflush(stdout);
 }
 
-Result<control::Client> client(const CommonOptions& common, StationConfiguration& configuration) {
-  Result<StationConfiguration> loaded = assembly::load_configuration(common.config);
+Result<api::Client> client(const CommonOptions& common, StationConfiguration& configuration) {
+  Result<StationConfiguration> loaded = bench::load_configuration(common.config);
   if (!loaded) return tl::unexpected(loaded.error());
   configuration = std::move(*loaded);
-  return control::Client(configuration.control.address, configuration.control.port,
+  return api::Client(configuration.control.address, configuration.control.port,
                          configuration.control.token_file);
 }
 
@@ -152,7 +152,7 @@ class ChangeLog {
   explicit ChangeLog(bool json) : json_(json) {}
 
   /// False where nobody reads any more.
-  bool take(const control::StationStatus& status) {
+  bool take(const api::StationStatus& status) {
     std::string line = log_line(status);
     if (line == last_) return true;
     last_ = std::move(line);
@@ -179,7 +179,7 @@ class ChangeLog {
 
 int watch(bool json, const CommonOptions& common) {
   StationConfiguration configuration;
-  const Result<control::Client> daemon = client(common, configuration);
+  const Result<api::Client> daemon = client(common, configuration);
   if (!daemon) return cli::refuse(daemon.error());
   watch_interrupted = false;
   struct sigaction action {};
@@ -195,7 +195,7 @@ int watch(bool json, const CommonOptions& common) {
   auto answered = Clock::now();
   while (!watch_interrupted) {
     const auto asked = Clock::now();
-    const Result<control::StationStatus> status = daemon->status(kPatience);
+    const Result<api::StationStatus> status = daemon->status(kPatience);
     lost = status ? std::string() : status.error().message;
     if (status) answered = Clock::now();
     // Who keeps silent may speak again; where nobody listens at once, a log has come to its end.
@@ -240,9 +240,9 @@ std::string kiosk_page(const std::string& address) {
 
 int print_address(const CommonOptions& common, const std::string& kiosk_file) {
   StationConfiguration configuration;
-  const Result<control::Client> daemon = client(common, configuration);
+  const Result<api::Client> daemon = client(common, configuration);
   if (!daemon) return cli::refuse(daemon.error());
-  if (const Result<control::StationStatus> status = daemon->status(); !status) {
+  if (const Result<api::StationStatus> status = daemon->status(); !status) {
     cli::print_error(status.error().message);
     return cli::kStation;
   }
@@ -252,7 +252,7 @@ int print_address(const CommonOptions& common, const std::string& kiosk_file) {
     fmt::print("{}\n", *address);
     return cli::kSuccess;
   }
-  if (const Result<void> written = control::write_secret_file(kiosk_file, kiosk_page(*address), 0600);
+  if (const Result<void> written = api::write_secret_file(kiosk_file, kiosk_page(*address), 0600);
       !written)
     return cli::refuse(written.error());
   fmt::print("{}\n", std::filesystem::absolute(kiosk_file).string());

@@ -7,12 +7,12 @@
 
 #include "clampd/archive/json.hpp"
 #include "clampd/diagnose/diagnosis.hpp"
+#include "clampd/diagnose/settle.hpp"
 #include "clampd/station/cause.hpp"
 #include "clampd/station/session.hpp"
 #include "clampd/station/verdict.hpp"
+#include "clampd/views/diagnosis_text.hpp"
 #include "tools/cli/exit_code.hpp"
-#include "tools/diagnosis/settle.hpp"
-#include "tools/diagnosis/summary.hpp"
 
 namespace clampd::ctl {
 
@@ -50,8 +50,8 @@ Result<void> adopt(const Diagnosis& diagnosis, CheckRecord& record, CheckStore& 
 
 }  // namespace
 
-SettledCheck settle_check(CheckRecord& record, assembly::EmbeddedStation& station, CheckStore& store,
-                          const BrakeParameters& nominal, const assembly::EmbeddedStation::Progress& progress,
+SettledCheck settle_check(CheckRecord& record, bench::EmbeddedStation& station, CheckStore& store,
+                          const BrakeParameters& nominal, const bench::EmbeddedStation::Progress& progress,
                           const CauseSearch& search, cli::ProgressLine& line) {
   SettledCheck settled;
   if (record.fault != FaultCause::None || record.verdict == Verdict::Timeout || record.runs.empty()) {

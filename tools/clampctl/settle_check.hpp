@@ -6,9 +6,9 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/archive/store.hpp"
-#include "clampd/brake/parameters.hpp"
+#include "clampd/bench/embedded_station.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/check_record.hpp"
-#include "tools/assembly/embedded_station.hpp"
 #include "tools/cli/terminal.hpp"
 
 namespace clampd::ctl {
@@ -26,8 +26,8 @@ struct SettledCheck {
 /// the same station, and diagnoses all runs together. What is found becomes the record's cause and stands in
 /// its reason, here and in the store. The experiments' own records say nothing about the brake's limits: only
 /// those are saved that end in a fault. What the check itself was diagnosed with is not searched for again.
-SettledCheck settle_check(CheckRecord& record, assembly::EmbeddedStation& station, CheckStore& store,
-                          const BrakeParameters& nominal, const assembly::EmbeddedStation::Progress& progress,
+SettledCheck settle_check(CheckRecord& record, bench::EmbeddedStation& station, CheckStore& store,
+                          const BrakeParameters& nominal, const bench::EmbeddedStation::Progress& progress,
                           const CauseSearch& search, cli::ProgressLine& line);
 
 }  // namespace clampd::ctl

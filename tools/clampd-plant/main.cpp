@@ -11,10 +11,10 @@
 
 #include "clampd/base/clock.hpp"
 #include "clampd/base/version.hpp"
+#include "clampd/simulation/plant.hpp"
 #include "drivers/can/codec.hpp"
 #include "drivers/can/socketcan.hpp"
 #include "rt/cyclic_thread.hpp"
-#include "tools/clampd-plant/plant.hpp"
 #include "tools/cli/exit_code.hpp"
 #include "tools/cli/terminal.hpp"
 

@@ -8,12 +8,15 @@
 #include <spdlog/spdlog.h>
 #include <CLI/CLI.hpp>
 
+#include "clampd/api/messages.hpp"
 #include "clampd/base/clock.hpp"
 #include "clampd/base/version.hpp"
+#include "clampd/bench/prepared_station.hpp"
+#include "clampd/daemon/daemon.hpp"
+#include "clampd/daemon/service_manager.hpp"
 #include "drivers/gpio/panel.hpp"
-#include "tools/clampd/daemon.hpp"
-#include "tools/clampd/service_manager.hpp"
 #include "tools/cli/exit_code.hpp"
+#include "tools/dashboard/assets.hpp"
 
 namespace {
 
@@ -52,11 +55,11 @@ int serve(clampd::daemon::Daemon& daemon, const clampd::StationConfiguration& co
   const Result<int> inherited = daemon::ServiceManager::inherited_socket(api.address, api.port);
   if (!inherited) return refuse(inherited.error());
   if (const Result<void> started = daemon.start(); !started) return refuse(started.error());
-  const auto server = daemon::ControlServer::start(daemon, api, *inherited);
+  const auto server = api::ControlServer::start(daemon, api, dashboard::assets(), *inherited);
   if (!server) return refuse(server.error());
   spdlog::info("clampd {} on {}, control API on {}:{}", kVersion, configuration.can.interface,
                configuration.control.address, (*server)->port());
-  if (const auto answer = control::Client(api.address, api.port, "").status(); !answer)
+  if (const auto answer = api::Client(api.address, api.port, "").status(); !answer)
     return miss({"the control API does not answer: " + answer.error().message});
   daemon::ServiceManager manager;
   daemon.serve(quit, [&] {
@@ -69,7 +72,7 @@ int serve(clampd::daemon::Daemon& daemon, const clampd::StationConfiguration& co
 
 int run(const std::string& file, bool simulated, const std::string& plant_file) {
   using namespace clampd;
-  Result<StationConfiguration> configuration = assembly::load_configuration(file);
+  Result<StationConfiguration> configuration = bench::load_configuration(file);
   if (!configuration) return refuse(configuration.error());
   if (simulated) simulate_the_brake(*configuration);
   if (configuration->embedded())
@@ -78,7 +81,7 @@ int run(const std::string& file, bool simulated, const std::string& plant_file) 
          (configuration->file.empty() ? std::string("/etc/clampd/station.toml") : configuration->file) +
          ". For a simulated brake without CAN: `clampd --simulated`, or `clampctl run`, which needs no "
          "daemon"});
-  const Result<assembly::PreparedStation> station = assembly::prepare_station(*configuration);
+  const Result<bench::PreparedStation> station = bench::prepare_station(*configuration);
   if (!station) return refuse(station.error());
   // First of all: the relay's guard is forked off, and takes along what is open and which threads there are.
   std::unique_ptr<gpio::Panel> panel;
@@ -92,9 +95,9 @@ int run(const std::string& file, bool simulated, const std::string& plant_file) 
   quit_on_signals();
   if (simulated) {
     const Result<sim::PlantConfiguration> plant =
-        assembly::load_plant(plant_file.empty() ? configuration->plant_file : plant_file);
+        bench::load_plant(plant_file.empty() ? configuration->plant_file : plant_file);
     if (!plant) return refuse(plant.error());
-    assembly::SimulatedBench bench(*station, *plant);
+    bench::SimulatedBench bench(*station, *plant);
     daemon::Daemon daemon(*station, bench, *store);
     return serve(daemon, *configuration);
   }

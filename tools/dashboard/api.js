@@ -1,4 +1,4 @@
-// The control API of the daemon that served the page (tools/control/messages.hpp); nobody else is asked anything.
+// The control API of the daemon that served the page (include/clampd/api/messages.hpp); nobody else is asked anything.
 
 const kTokenKey = 'clampd.token';
 const fromAddress = new URLSearchParams(location.hash.slice(1)).get('token');

@@ -1,17 +1,12 @@
 #pragma once
 
 #include <span>
-#include <string_view>
+
+#include "clampd/api/control_server.hpp"
 
 namespace clampd::dashboard {
 
-/// A file of the screen, compiled in, so that the daemon serves nothing from a disk.
-struct Asset {
-  std::string_view path;  ///< as in the address, e.g. "/screen.js"
-  std::string_view type;  ///< MIME
-  std::string_view content;
-};
-
-std::span<const Asset> assets();
+/// The files of the screen.
+std::span<const api::ScreenFile> assets();
 
 }  // namespace clampd::dashboard

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "clampd/report/page.hpp"
+#include "clampd/views/page.hpp"
 #include "tools/reproduce/findings.hpp"
 
 namespace clampd::reproduce {

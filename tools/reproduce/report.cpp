@@ -11,8 +11,8 @@
 #include <fmt/format.h>
 
 #include "clampd/base/version.hpp"
-#include "clampd/report/figure.hpp"
-#include "clampd/report/page.hpp"
+#include "clampd/views/figure.hpp"
+#include "clampd/views/page.hpp"
 #include "tools/reproduce/claims.hpp"
 #include "tools/reproduce/findings.hpp"
 

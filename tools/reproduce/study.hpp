@@ -12,7 +12,7 @@
 #include "clampd/identify/information.hpp"
 #include "clampd/identify/kalman.hpp"
 #include "clampd/record/run.hpp"
-#include "tools/simulation/simulate.hpp"
+#include "clampd/simulation/simulate.hpp"
 
 namespace clampd::reproduce {
 

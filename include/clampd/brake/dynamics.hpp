@@ -6,9 +6,9 @@
 
 #include "clampd/brake/actuator.hpp"
 #include "clampd/brake/friction.hpp"
-#include "clampd/brake/parameters.hpp"
 #include "clampd/brake/readings.hpp"
 #include "clampd/brake/stiffness.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 
 namespace clampd {
 

@@ -8,8 +8,8 @@
 #include <Eigen/Core>
 
 #include "clampd/brake/effect.hpp"
-#include "clampd/brake/parameters.hpp"
 #include "clampd/brake/readings.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 
 namespace clampd {
 

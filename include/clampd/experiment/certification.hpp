@@ -5,9 +5,9 @@
 #include <string>
 
 #include "clampd/brake/integrator.hpp"
-#include "clampd/brake/parameters.hpp"
 #include "clampd/experiment/criterion.hpp"
 #include "clampd/identify/information.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 
 namespace clampd {
 

@@ -3,7 +3,7 @@
 #include <optional>
 #include <string_view>
 
-#include "clampd/brake/parameters.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 
 namespace clampd {
 

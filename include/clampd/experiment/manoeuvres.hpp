@@ -4,7 +4,7 @@
 #include <string_view>
 
 #include "clampd/base/result.hpp"
-#include "clampd/brake/parameters.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/run.hpp"
 
 namespace clampd {

@@ -1,8 +1,8 @@
 #pragma once
 
 #include "clampd/base/result.hpp"
-#include "clampd/brake/parameters.hpp"
 #include "clampd/control/nominal_drive.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/reference.hpp"
 #include "clampd/record/run.hpp"
 

@@ -8,7 +8,7 @@
 
 #include "clampd/base/parallel.hpp"
 #include "clampd/base/result.hpp"
-#include "clampd/brake/parameters.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 
 namespace clampd {
 

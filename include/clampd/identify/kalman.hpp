@@ -3,8 +3,8 @@
 #include <vector>
 
 #include "clampd/brake/integrator.hpp"
-#include "clampd/brake/parameters.hpp"
 #include "clampd/identify/information.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/run.hpp"
 
 namespace clampd {

@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "clampd/base/result.hpp"
-#include "clampd/brake/parameters.hpp"
 #include "clampd/identify/method.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 
 namespace clampd {
 

@@ -6,7 +6,7 @@
 
 #include "clampd/base/result.hpp"
 #include "clampd/brake/extended_brake.hpp"
-#include "clampd/brake/parameters.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 
 namespace clampd {
 

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "clampd/diagnose/diagnosis.hpp"
-#include "clampd/record/brake_port.hpp"
+#include "clampd/ports/brake_port.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/record/sample.hpp"
 #include "clampd/station/configuration.hpp"

@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "clampd/brake/parameters.hpp"
 #include "clampd/identify/estimate.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"

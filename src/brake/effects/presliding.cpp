@@ -2,7 +2,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "clampd/brake/parameters.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {

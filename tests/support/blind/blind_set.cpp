@@ -10,8 +10,8 @@
 #include "clampd/base/assert.hpp"
 #include "clampd/experiment/manoeuvres.hpp"
 #include "clampd/experiment/reference.hpp"
+#include "clampd/simulation/simulate.hpp"
 #include "tests/support/blind/draw.hpp"
-#include "tools/simulation/simulate.hpp"
 
 namespace clampd::blind {
 namespace {

@@ -4,8 +4,8 @@
 #include <random>
 #include <vector>
 
-#include "clampd/brake/parameters.hpp"
 #include "clampd/identify/information.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/run.hpp"
 
 namespace clampd::blind {

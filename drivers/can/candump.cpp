@@ -1,0 +1,67 @@
+#include "drivers/can/candump.hpp"
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <iterator>
+
+#include <fmt/format.h>
+
+#include "clampd/base/clock.hpp"
+#include "clampd/record/utc.hpp"
+#include "drivers/can/protocol.hpp"
+
+namespace clampd {
+namespace {
+
+/// Whole turns of the 4-bit alive counter and one step: counter and sample clock still agree after it.
+constexpr std::int64_t kPause_ns = (6 * 16 + 1) * kPeriod_ns;
+
+void append(std::string& log, std::int64_t stamp_ns, std::string_view interface, const can::Frame& frame) {
+  const std::int64_t stamp_us = (stamp_ns + 500) / 1000;
+  fmt::format_to(std::back_inserter(log), "({:010}.{:06}) {} ", stamp_us / 1'000'000, stamp_us % 1'000'000,
+                 interface);
+  if ((frame.id & can::kExtendedId) != 0)
+    fmt::format_to(std::back_inserter(log), "{:08X}#", frame.id & ~can::kExtendedId);
+  else
+    fmt::format_to(std::back_inserter(log), "{:03X}#", frame.id);
+  for (std::size_t i = 0; i < frame.size; ++i)
+    fmt::format_to(std::back_inserter(log), "{:02X}", frame.data[i]);
+  log += '\n';
+}
+
+}  // namespace
+
+Result<std::string> format_candump(const CheckRecord& record, const can::ProtocolCodec& codec,
+                                   std::string_view interface) {
+  if (record.runs.empty()) return failure(fmt::format("check {} has no runs to export", record.id));
+  can::StationProtocol station(codec);
+  can::BrakeProtocol brake(codec);
+  std::array<can::Frame, can::kMaxFeedbackFrames> frames{};
+  std::string log;
+  std::int64_t offset_ns = kPause_ns;
+  const std::int64_t started_ns = parse_utc(record.started).value_or(0);
+  for (const RunRecord& recorded : record.runs) {
+    if (!recorded.removed.empty())
+      return failure(fmt::format("check {}: its raw runs were removed on {}, as [retention] says", record.id,
+                                 recorded.removed));
+    const Run& run = recorded.run;
+    for (std::size_t k = 0; k < run.size(); ++k) {
+      BrakeFeedback reading;
+      reading.brake_time_ns = offset_ns + std::llround((run.time_s[k] - run.time_s[0]) * 1e9);
+      reading.torque_Nm = run.torque_Nm[k];
+      reading.velocity_rad_s = run.velocity_rad_s[k];
+      reading.force_N = run.force_N[k];
+      if (!run.position_rad.empty()) reading.position_rad = run.position_rad[k];
+      reading.drive_enabled = true;
+      const std::int64_t stamp_ns = started_ns + reading.brake_time_ns;
+      append(log, stamp_ns - kPeriod_ns / 2, interface, station.command({run.torque_Nm[k], true}));
+      const std::size_t count = brake.feedback(reading, frames);
+      for (std::size_t i = 0; i < count; ++i) append(log, stamp_ns, interface, frames[i]);
+    }
+    if (run.size() > 0) offset_ns += std::llround((run.time_s.back() - run.time_s[0]) * 1e9) + kPause_ns;
+  }
+  return log;
+}
+
+}  // namespace clampd

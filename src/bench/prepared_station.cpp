@@ -1,0 +1,260 @@
+#include "clampd/bench/prepared_station.hpp"
+
+#include <array>
+#include <cmath>
+#include <filesystem>
+#include <string_view>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "clampd/base/clock.hpp"
+#include "clampd/bench/builtin.hpp"
+#include "clampd/experiment/reference.hpp"
+#include "clampd/record/checksum.hpp"
+#include "clampd/record/file.hpp"
+#include "clampd/record/run.hpp"
+
+namespace clampd::bench {
+
+namespace {
+
+constexpr const char* kInstalledConfiguration = "/etc/clampd/station.toml";
+
+struct MappingRole {
+  std::string_view role;
+  std::string can::ProtocolMapping::*signal;
+  bool needed = true;  ///< false: a brake may do without, and an empty name says so
+};
+
+constexpr std::array kMappingRoles{
+    MappingRole{"torque_command", &can::ProtocolMapping::torque_command},
+    MappingRole{"enable", &can::ProtocolMapping::enable},
+    MappingRole{"force", &can::ProtocolMapping::force},
+    MappingRole{"velocity", &can::ProtocolMapping::velocity},
+    MappingRole{"torque", &can::ProtocolMapping::torque},
+    MappingRole{"position", &can::ProtocolMapping::position},
+    MappingRole{"sample_clock", &can::ProtocolMapping::sample_clock},
+    MappingRole{"enabled", &can::ProtocolMapping::enabled, false},
+    MappingRole{"watchdog", &can::ProtocolMapping::watchdog, false},
+    MappingRole{"fault", &can::ProtocolMapping::fault, false},
+    MappingRole{"counter", &can::ProtocolMapping::counter},
+    MappingRole{"crc", &can::ProtocolMapping::crc},
+};
+
+Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& configuration) {
+  can::ProtocolMapping mapping;
+  for (const auto& [role, signal] : configuration.can.mapping) {
+    bool known = false;
+    for (const MappingRole& candidate : kMappingRoles) {
+      if (candidate.role != role) continue;
+      if (candidate.needed && signal.empty())
+        return failure(
+            fmt::format("{}: [can.mapping] {} is empty, but a check cannot do without: name the signal of "
+                        "the DBC file that "
+                        "has it, or leave the line out for the default, \"{}\"",
+                        configuration.file, role, mapping.*candidate.signal));
+      mapping.*candidate.signal = signal;
+      known = true;
+    }
+    if (!known) {
+      std::string roles;
+      for (const MappingRole& candidate : kMappingRoles) roles += fmt::format(" {}", candidate.role);
+      return failure(fmt::format("{}: [can.mapping] has no role '{}'; the roles are:{}", configuration.file,
+                                 role, roles));
+    }
+  }
+  return mapping;
+}
+
+Result<can::ProtocolCodec> build_codec(const StationConfiguration& configuration) {
+  const Result<can::ProtocolMapping> mapping = protocol_mapping(configuration);
+  if (!mapping) return tl::unexpected(mapping.error());
+  const Result<can::Database> database = configuration.can.dbc.empty()
+                                             ? can::parse_dbc(kBuiltinDbc, "built-in brake.dbc")
+                                             : can::read_dbc(configuration.can.dbc);
+  if (!database) return tl::unexpected(database.error());
+  return can::ProtocolCodec::build(*database, *mapping);
+}
+
+Result<ExtendedParameters> read_check_model(const StationConfiguration& configuration) {
+  const std::string& file = configuration.check.model;
+  Result<ExtendedParameters> model = read_extended_parameters(file);
+  if (!model) return model;
+  if (model->effects.empty())
+    return failure(
+        fmt::format("{}: has no [[effect]]; leave [check] model out to check by the base model", file));
+  const FixedParameters& found = model->base.fixed;
+  const FixedParameters& known = configuration.model.fixed;
+  const auto differs = [](double a, double b) { return std::abs(a - b) > 1e-9 * std::abs(b); };
+  if (differs(found.inertia_kg_m2, known.inertia_kg_m2) || differs(found.ratio_m_rad, known.ratio_m_rad))
+    return failure(fmt::format(
+        "{}: was found with J = {} kg m^2 and N = {} m/rad, but the station's brake has {} and {}; "
+        "diagnose with `--parameters` of the station's [model] brake",
+        file, found.inertia_kg_m2, found.ratio_m_rad, known.inertia_kg_m2, known.ratio_m_rad));
+  return model;
+}
+
+rt::SupervisorSettings supervisor_settings(const StationConfiguration& configuration) {
+  const clampd::SupervisorSettings& configured = configuration.supervisor;
+  const auto nanoseconds = [](double milliseconds) {
+    return static_cast<std::int64_t>(milliseconds * static_cast<double>(kNanosecondsPerMillisecond));
+  };
+  rt::SupervisorSettings settings;
+  settings.startup_timeout_ns = nanoseconds(configured.start_up_ms);
+  settings.stale_ns = nanoseconds(configured.stale_after_ms);
+  settings.corrupt_tolerated = static_cast<std::uint64_t>(configured.corrupt_frames_max);
+  settings.frozen_tolerated = static_cast<std::uint64_t>(configured.frozen_frames_max);
+  settings.implausible_tolerated = static_cast<std::uint64_t>(configured.implausible_frames_max);
+  settings.send_failures_tolerated = static_cast<std::uint64_t>(configured.send_failures_max);
+  settings.force_limit_N = configured.over_force_N;
+  settings.force_ceiling_N = configured.over_force_ceiling_N;
+  settings.speed_limit_rad_s = configured.over_speed_rad_s;
+  settings.torque_limit_Nm = configured.over_torque_Nm;
+  settings.travel_limit_rad = configured.over_travel_rad;
+  settings.plausible_force_N = configured.plausible_force_N;
+  settings.plausible_velocity_rad_s = configured.plausible_velocity_rad_s;
+  settings.plausible_torque_Nm = configured.plausible_torque_Nm;
+  settings.drive = nominal_drive(configuration.model);
+  settings.readings = {configured.torque_mismatch_Nm, configured.velocity_mismatch_rad_s,
+                       configured.position_mismatch_rad, configured.force_mismatch_N};
+  settings.drive_reports_live = configured.drive_reports_live;
+  settings.skipped_in_a_row_tolerated = static_cast<std::uint64_t>(configured.missed_ticks_max);
+  settings.skipped_per_check_tolerated = static_cast<std::uint64_t>(configured.missed_ticks_total_max);
+  return settings;
+}
+
+gpio::LineSettings panel_line(const GpioLine& configured) {
+  gpio::LineSettings line{configured.chip, configured.line, configured.active_low, gpio::Bias::AsIs};
+  if (configured.bias == "disabled") line.bias = gpio::Bias::Disabled;
+  if (configured.bias == "pull-up") line.bias = gpio::Bias::PullUp;
+  if (configured.bias == "pull-down") line.bias = gpio::Bias::PullDown;
+  return line;
+}
+
+gpio::PanelSettings panel_settings(const StationConfiguration& configuration) {
+  const GpioSettings& configured = configuration.gpio;
+  const auto nanoseconds = [](double milliseconds) {
+    return static_cast<std::int64_t>(milliseconds * static_cast<double>(kNanosecondsPerMillisecond));
+  };
+  gpio::PanelSettings panel;
+  const auto set = [&panel](gpio::LineRole role, const GpioLine& line) {
+    panel.lines[static_cast<std::size_t>(role)] = panel_line(line);
+  };
+  set(gpio::LineRole::EmergencyStop, configured.emergency_stop);
+  set(gpio::LineRole::FixtureClosed, configured.fixture_closed);
+  set(gpio::LineRole::StartButton, configured.start_button);
+  set(gpio::LineRole::EnableRelay, configured.enable_relay);
+  set(gpio::LineRole::LightRed, configured.light_red);
+  set(gpio::LineRole::LightAmber, configured.light_amber);
+  set(gpio::LineRole::LightGreen, configured.light_green);
+  panel.debounce_ns = nanoseconds(configured.debounce_ms);
+  panel.release_ns = nanoseconds(configured.release_ms);
+  panel.stuck_after_ns = nanoseconds(1e3 * configured.start_stuck_s);
+  panel.poll_ns = nanoseconds(configured.poll_ms);
+  panel.lost_after_ns = nanoseconds(configured.lost_after_ms);
+  panel.relay_watchdog_ns = nanoseconds(configured.relay_watchdog_ms);
+  panel.loop_priority = configuration.realtime.priority;
+  return panel;
+}
+
+rt::CheckPlan check_plan(const StationConfiguration& configuration, Reference reference) {
+  const CheckSettings& check = configuration.check;
+  rt::CheckPlan plan;
+  plan.reference = std::move(reference);
+  plan.drive = nominal_drive(configuration.model);
+  plan.repeats = static_cast<std::uint16_t>(check.repeats);
+  plan.tare_s = check.tare_s;
+  plan.approach_velocity_rad_s = check.approach_velocity_rad_s;
+  plan.contact_force_N = check.contact_force_N;
+  plan.clearance_rad = check.clearance_rad;
+  plan.settle_s = check.settle_s;
+  plan.phase_timeout_s = check.phase_timeout_s;
+  plan.torque_limit_Nm = check.torque_limit_Nm;
+  return plan;
+}
+
+}  // namespace
+
+namespace {
+
+/// What the runs alone take, without the ways between them.
+Result<void> check_deadline(const StationConfiguration& configuration, const rt::CheckPlan& plan) {
+  const CheckSettings& check = configuration.check;
+  const double least_s =
+      check.tare_s +
+      check.repeats * (static_cast<double>(plan.reference.rows.size()) * kPeriod_s + check.settle_s);
+  if (least_s < check.deadline_s) return {};
+  return failure(fmt::format(
+      "{}check.deadline_s = {:g} is too short for {} repeats, which take {:.0f} s and the "
+      "ways between them: allow more time or ask for fewer",
+      configuration.file.empty() ? "" : configuration.file + ": ", check.deadline_s, check.repeats, least_s));
+}
+
+}  // namespace
+
+Result<StationConfiguration> load_configuration(const std::string& path) {
+  if (!path.empty()) return read_station_configuration(path);
+  std::error_code ignored;
+  if (std::filesystem::exists(kInstalledConfiguration, ignored))
+    return read_station_configuration(kInstalledConfiguration);
+  StationConfiguration defaults;
+  defaults.database = default_database(defaults.simulated_brake);
+  return defaults;
+}
+
+Result<PreparedStation> prepare_station(const StationConfiguration& configuration) {
+  PreparedStation station;
+  station.configuration = configuration;
+
+  Result<LimitSet> limits = configuration.limits_file.empty()
+                                ? parse_limits(std::string(kBuiltinLimits), "built-in limits.toml")
+                                : read_limits(configuration.limits_file);
+  if (!limits) return tl::unexpected(limits.error());
+  station.limits = std::move(*limits);
+
+  if (!configuration.check.model.empty()) {
+    Result<ExtendedParameters> model = read_check_model(configuration);
+    if (!model) return tl::unexpected(model.error());
+    station.model = std::move(*model);
+    station.configuration.check.method = Method::PredictionError;
+  }
+  if (const Result<void> usable = check_limits(station.limits, station.model.value_or(ExtendedParameters{}));
+      !usable)
+    return tl::unexpected(usable.error());
+
+  Result<can::ProtocolCodec> codec = build_codec(configuration);
+  if (!codec) return tl::unexpected(codec.error());
+  station.codec = std::move(*codec);
+
+  const std::string& file = configuration.check.trajectory;
+  const Result<LoadedRun> trajectory =
+      file.empty() ? parse_run(std::string(kBuiltinTrajectory), "built-in trajectory.csv") : read_run(file);
+  if (!trajectory) return tl::unexpected(trajectory.error());
+  Result<Reference> reference = build_reference(trajectory->run, configuration.model);
+  if (!reference) return tl::unexpected(reference.error());
+  station.trajectory_sha256 = sha256_hex(format_run(trajectory->run));
+  station.plan = check_plan(configuration, std::move(*reference));
+  if (const Result<void> enough = check_deadline(configuration, station.plan); !enough)
+    return tl::unexpected(enough.error());
+
+  station.supervisor = supervisor_settings(configuration);
+  if (const Result<void> valid = station.supervisor.validate(); !valid) return tl::unexpected(valid.error());
+  if (configuration.gpio.used()) station.panel = panel_settings(configuration);
+  return station;
+}
+
+RetentionPolicy retention_policy(const StationConfiguration& configuration) {
+  constexpr std::uint64_t kBytesPerMegabyte = 1'000'000;
+  const RetentionSettings& settings = configuration.retention;
+  return {settings.raw_days, settings.raw_megabytes * kBytesPerMegabyte, settings.published};
+}
+
+Result<sim::PlantConfiguration> load_plant(const std::string& path) {
+  Result<sim::PlantConfiguration> shipped =
+      sim::parse_plant_configuration(kBuiltinPlant, "built-in plant.toml");
+  if (!shipped || path.empty()) return shipped;
+  return sim::read_plant_configuration(path, *shipped);
+}
+
+}  // namespace clampd::bench

@@ -1,0 +1,9 @@
+#include "clampd/bench/simulated_bench.hpp"
+
+namespace clampd::bench {
+
+SimulatedBench::SimulatedBench(const PreparedStation& station, const sim::PlantConfiguration& plant)
+    : bus_(static_cast<double>(station.configuration.can.bitrate)),
+      brake_(bus_.end(can::EmbeddedBus::End::Brake), station.codec, plant, nullptr) {}
+
+}  // namespace clampd::bench

@@ -1,0 +1,45 @@
+#include "clampd/simulation/plant.hpp"
+
+#include <utility>
+
+#include "clampd/base/clock.hpp"
+
+namespace clampd::plant {
+namespace {
+
+constexpr std::pair<sim::FaultKind, can::WireFault> kWireFaults[]{
+    {sim::FaultKind::Silent, can::WireFault::Silent},
+    {sim::FaultKind::CorruptCrc, can::WireFault::CorruptCrc},
+    {sim::FaultKind::FrozenCounter, can::WireFault::FrozenCounter},
+    {sim::FaultKind::ImpossibleValues, can::WireFault::ImpossibleValues},
+};
+
+/// The first of the scripted faults that is active; one frame can be wrong in one way only.
+can::WireFault wire_fault(const sim::PlantConfiguration& configuration, double time_s) noexcept {
+  for (const auto& [kind, fault] : kWireFaults) {
+    if (configuration.fault_active(kind, time_s)) return fault;
+  }
+  return can::WireFault::None;
+}
+
+}  // namespace
+
+Plant::Plant(can::FrameBus& bus, const can::ProtocolCodec& codec,
+             const sim::PlantConfiguration& configuration, Trace* trace)
+    : brake_{configuration}, node_{bus, codec, brake_}, trace_{trace} {}
+
+void Plant::tick(std::int64_t now_ns, std::int64_t /*lateness_ns*/,
+                 std::uint64_t /*skipped_periods*/) noexcept {
+  const double time_s = static_cast<double>(samples_) * kPeriod_s;
+  const BrakeFeedback reading = node_.tick(now_ns, wire_fault(brake_.configuration(), time_s));
+  if (trace_ != nullptr) {
+    const sim::Truth& truth = brake_.truth();
+    trace_->put({now_ns, samples_, truth.torque_Nm, truth.force_N, truth.velocity_rad_s, truth.position_rad,
+                 truth.drive_enabled, truth.watchdog_tripped, reading.brake_fault});
+  }
+  ++samples_;
+}
+
+void Plant::shutdown(std::int64_t /*now_ns*/) noexcept {}
+
+}  // namespace clampd::plant

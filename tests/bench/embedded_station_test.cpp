@@ -1,0 +1,264 @@
+// Whole checks of the simulated brake in virtual time, against its truth.
+
+#include <cmath>
+#include <optional>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "bench/embedded_check.hpp"
+#include "clampd/archive/json.hpp"
+#include "clampd/base/clock.hpp"
+#include "clampd/bench/check_conductor.hpp"
+#include "clampd/experiment/manoeuvres.hpp"
+#include "support/temporary_directory.hpp"
+
+namespace clampd::bench {
+namespace {
+
+using ::testing::HasSubstr;
+
+TEST(EmbeddedStation, TwentyRepeatsWithinThirtySecondsOfBenchTime) {
+  const CheckRecord record = check(plant(1), 20);
+  EXPECT_EQ(record.verdict, Verdict::Pass) << record.reason;
+  EXPECT_EQ(record.runs.size(), 20U);
+  EXPECT_LE(record.duration_s, 30.0);
+  EXPECT_EQ(record.timing.skipped, 0U);
+  EXPECT_EQ(record.timing.lost_samples, 0U);
+  EXPECT_GT(record.timing.bus_load, 0.3);
+  EXPECT_LT(record.timing.bus_load, 0.5);
+}
+
+TEST(EmbeddedStation, StandsByWithTheDriveOff) {
+  sim::PlantConfiguration brake = plant(1);
+  brake.effects.torque_offset_Nm = 0.05;
+  EmbeddedStation station(prepared(), brake);
+  ASSERT_TRUE(station.run_check(request(1), nullptr, nullptr));
+  const auto off = station.stand_by(400);
+  ASSERT_TRUE(off) << off.error().message;
+  EXPECT_EQ(off->size(), 400U);
+  EXPECT_FALSE(is_driven(*off));
+  const auto torque = torque_while_off(std::span(&*off, 1));
+  ASSERT_TRUE(torque);
+  EXPECT_NEAR(torque->mean_Nm, 0.05, 5.0 * torque->sd_Nm);
+}
+
+TEST(EmbeddedStation, AnExperimentHasTheTimeThatItTakes) {
+  PreparedStation prepared_station = prepared();
+  prepared_station.configuration.check.deadline_s = 6.0;
+  EmbeddedStation station(std::move(prepared_station), plant(1));
+  const auto one = station.run_check(request(1), nullptr, nullptr);
+  ASSERT_TRUE(one);
+  EXPECT_EQ(one->verdict, Verdict::Pass) << one->reason;
+  constexpr std::uint32_t kRepeats = 6;
+  const auto slow = make_manoeuvre("slow-sinusoid", BrakeParameters{}, {}).value();
+  ASSERT_TRUE(station.use_trajectory(slow));
+  const auto experiment = station.run_check(request(kRepeats), nullptr, nullptr);
+  ASSERT_TRUE(experiment);
+  EXPECT_EQ(experiment->runs.size(), kRepeats) << experiment->reason;
+  EXPECT_NE(experiment->verdict, Verdict::Timeout);
+  EXPECT_GT(experiment->duration_s, kRepeats * 2.35);
+}
+
+TEST(CheckConductor, RemembersTheTorqueBeforeTheCheckForTheRecord) {
+  sim::PlantConfiguration configuration = plant(1);
+  configuration.effects.torque_offset_Nm = 0.05;
+  Bench bench(configuration, WorkerMode::Synchronous);
+  const auto advance = [&] {
+    bench.advance();
+    return bench.pump();
+  };
+  for (int check = 0; check < 2; ++check) {
+    for (int k = 0; k < 4000; ++k) ASSERT_FALSE(advance());
+    ASSERT_TRUE(bench.begin(1));
+    std::optional<CheckRecord> record;
+    while (!record) record = advance();
+    EXPECT_EQ(record->fault, FaultCause::None) << record->reason;
+    ASSERT_TRUE(record->torque_while_off);
+    EXPECT_EQ(record->torque_while_off->rows, 3000U);
+    EXPECT_NEAR(record->torque_while_off->mean_Nm, 0.05, 5.0 * record->torque_while_off->sd_Nm);
+    EXPECT_NEAR(check_json(*record)["torque_while_off"]["mean_Nm"], record->torque_while_off->mean_Nm, 1e-12);
+  }
+}
+
+TEST(EmbeddedStation, AnOperatorStopAborts) {
+  const CheckRecord record =
+      check(plant(1), 20, [](CheckPhase, std::uint32_t repeat, std::uint32_t) { return repeat < 3; });
+  EXPECT_EQ(record.verdict, Verdict::Aborted);
+  EXPECT_EQ(record.fault, FaultCause::OperatorStop);
+  EXPECT_LT(record.runs.size(), 20U);
+}
+
+struct WireFaultCase {
+  sim::FaultKind kind;
+  FaultCause cause;
+};
+
+class WireFaults : public ::testing::TestWithParam<WireFaultCase> {};
+
+TEST_P(WireFaults, EndInErrorWithTheCauseNamed) {
+  sim::PlantConfiguration brake = plant(1);
+  brake.faults.push_back({GetParam().kind, 4.0, 1000.0});
+  const CheckRecord record = check(brake, 20);
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_EQ(record.fault, GetParam().cause) << to_string(record.fault);
+  ASSERT_FALSE(record.flight_recorder.empty());
+  // Judged by what the brake saw: its torque is zero within 5 ms of the first fault sample.
+  for (const Sample& sample : record.flight_recorder)
+    if (sample.brake_time_ns > 4'005'000'000) {
+      EXPECT_EQ(sample.torque_command_Nm, 0.0);
+    }
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    OnTheWire, WireFaults,
+    ::testing::Values(WireFaultCase{sim::FaultKind::CorruptCrc, FaultCause::FeedbackCorrupt},
+                      WireFaultCase{sim::FaultKind::FrozenCounter, FaultCause::FeedbackFrozen},
+                      WireFaultCase{sim::FaultKind::ImpossibleValues, FaultCause::FeedbackImplausible},
+                      WireFaultCase{sim::FaultKind::Silent, FaultCause::FeedbackStale}));
+
+TEST(EmbeddedStation, ABrakeThatItsModelDoesNotExplainIsNoFail) {
+  sim::PlantConfiguration brake = plant(1);
+  ASSERT_TRUE(sim::set_effect(brake.effects, "force-lag", 0.01));
+  const CheckRecord record = check(brake, 4);
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_THAT(record.reason, HasSubstr("explain"));
+  // And its cause is named.
+  ASSERT_TRUE(record.cause);
+  EXPECT_EQ(record.cause->verdict, "explained");
+  EXPECT_THAT(record.cause->effects, ::testing::ElementsAre("force-lag"));
+  EXPECT_EQ(record.cause->location, "force-reading");
+  EXPECT_THAT(record.reason, HasSubstr("comes 10 ms late"));
+  EXPECT_EQ(check_json(record).at("cause").at("effect"), "force-lag");
+}
+
+TEST(CheckConductor, ConcludesBesideItsCalls) {
+  sim::PlantConfiguration configured = plant(1);
+  ASSERT_TRUE(sim::set_effect(configured.effects, "force-lag", 0.012));
+  Bench bench(configured, WorkerMode::Background);
+  while (bench.core.status().state.load() == StationState::Init) bench.advance();
+  const auto begun = bench.begin(4);
+  ASSERT_TRUE(begun) << begun.error().message;
+  while (!bench.conductor.concluding()) {
+    bench.advance();
+    ASSERT_FALSE(bench.pump());
+  }
+  // The runs are being diagnosed, which takes far longer than this.
+  EXPECT_TRUE(bench.conductor.busy());
+  EXPECT_EQ(bench.conductor.progress().recorded, 4u);
+  EXPECT_FALSE(bench.begin(4));
+  std::optional<CheckRecord> record;
+  while (!record) {
+    bench.advance();
+    record = bench.pump();
+  }
+  EXPECT_FALSE(bench.conductor.busy());
+  EXPECT_FALSE(bench.conductor.concluding());
+  EXPECT_EQ(record->verdict, Verdict::Error);
+  EXPECT_EQ(record->runs.size(), 4u);
+  EXPECT_TRUE(record->cause) << record->reason;
+  EXPECT_TRUE(bench.begin(4)) << "ready for the next";
+  bench.core.requests().stop(bench.now_ns);
+  while (!bench.conductor.concluding()) {
+    bench.advance();
+    bench.pump();
+  }
+}
+
+TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
+  for (const char* role : {"torque_command", "enable", "force", "velocity", "torque", "position",
+                           "sample_clock", "counter", "crc"}) {
+    StationConfiguration configuration;
+    configuration.file = "station.toml";
+    configuration.can.mapping = {{role, ""}};
+    const auto station = prepare_station(configuration);
+    ASSERT_FALSE(station) << role;
+    EXPECT_NE(station.error().message.find(std::string("station.toml: [can.mapping] ") + role + " is empty"),
+              std::string::npos)
+        << station.error().message;
+  }
+  for (const char* role : {"enabled", "watchdog", "fault"}) {
+    StationConfiguration configuration;
+    configuration.can.mapping = {{role, ""}};
+    const auto station = prepare_station(configuration);
+    EXPECT_TRUE(station) << station.error().message;
+  }
+}
+
+constexpr const char* kBacklashModel = "[[effect]]\nname = \"backlash\"\nplay = 0.2\n";
+
+class ExtendedCheck : public ::testing::Test {
+ protected:
+  Result<PreparedStation> prepare() {
+    StationConfiguration configuration;
+    configuration.check.model = folder_.path("extended.toml");
+    configuration.limits_file = folder_.path("limits.toml");
+    return prepare_station(configuration);
+  }
+  void write_limits(const std::string& further) {
+    folder_.write("limits.toml", std::string(kBuiltinLimits) + further);
+  }
+  CheckRecord check_play(double play_rad) {
+    sim::PlantConfiguration brake = plant(3);
+    EXPECT_TRUE(sim::set_effect(brake.effects, "backlash", play_rad));
+    Result<PreparedStation> station = prepare();
+    EXPECT_TRUE(station) << station.error().message;
+    const Result<CheckRecord> record =
+        EmbeddedStation(std::move(*station), brake).run_check(request(8), nullptr, nullptr);
+    EXPECT_TRUE(record);
+    return *record;
+  }
+  support::TemporaryDirectory folder_;
+};
+
+TEST_F(ExtendedCheck, FailsABrakeForItsBacklashAndForNothingElse) {
+  folder_.write("extended.toml", kBacklashModel);
+  write_limits("[effects.backlash]\nplay = {lower = 0.0, upper = 0.3}\n");
+  for (const double play_rad : {0.0, 0.15, 0.5}) {
+    const CheckRecord record = check_play(play_rad);
+    EXPECT_EQ(record.verdict, play_rad < 0.3 ? Verdict::Pass : Verdict::Fail) << record.reason;
+    EXPECT_FALSE(record.marginal);
+    EXPECT_EQ(record.method, "pem");
+    ASSERT_EQ(record.parameters.size(), 8U);
+    for (std::size_t i = 0; i < 7; ++i)
+      EXPECT_EQ(record.parameters[i].verdict, ParameterVerdict::Pass) << record.parameters[i].name;
+    const ParameterRecord& play = record.parameters[7];
+    EXPECT_EQ(play.name, "backlash.play");
+    EXPECT_EQ(play.unit, "rad");
+    EXPECT_NEAR(play.value, play_rad, 4.0 * play.sd);
+    EXPECT_LT(play.sd, 0.03);
+    if (play_rad > 0.3) {
+      EXPECT_THAT(record.reason,
+                  ::testing::MatchesRegex("backlash\\.play is 0\\.[45].* rad, above its upper limit "
+                                          "0\\.3 rad\\."));
+    }
+  }
+}
+
+TEST_F(ExtendedCheck, IsPreparedOnlyFromAModelThatFitsTheLimits) {
+  write_limits("");
+  EXPECT_THAT(prepare().error().message, HasSubstr("extended.toml"));
+  folder_.write("extended.toml", "[[effect]]\nname = \"backlsh\"\nplay = 0.2\n");
+  EXPECT_THAT(prepare().error().message, HasSubstr("extended.toml:1: there is no effect"));
+  folder_.write("extended.toml", "[parameters]\n");
+  EXPECT_THAT(prepare().error().message, HasSubstr("has no [[effect]]"));
+  folder_.write("extended.toml", std::string("[fixed]\ninertia_kg_m2 = 3e-4\n") + kBacklashModel);
+  EXPECT_THAT(prepare().error().message, HasSubstr("J = 0.0003"));
+  folder_.write("extended.toml", kBacklashModel);
+  EXPECT_TRUE(prepare());
+  write_limits("[effects.force-lag]\ntime_constant = {lower = 0.0, upper = 1e-3}\n");
+  EXPECT_THAT(prepare().error().message, HasSubstr("[effects.force-lag] has limits"));
+}
+
+TEST(EmbeddedStation, RefusesARequestBeforeAnythingMoves) {
+  EmbeddedStation station(prepared(), plant(1));
+  CheckRequest asked = request(20);
+  asked.serial = "line\nbreak";
+  EXPECT_FALSE(station.run_check(asked, nullptr, nullptr));
+}
+
+}  // namespace
+}  // namespace clampd::bench
