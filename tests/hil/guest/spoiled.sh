@@ -42,16 +42,19 @@ measure_check() {
 }
 
 # draw NUMBER: "READING KIND AMOUNT INSTANT_S" of a check, as gross_spoil() in tests/scenario/reading_campaign.cpp draws
-# them; the instant counts from the check's start. 35 checks in a row meet each reading in each kind.
+# them, then lines for $brake_values: two of three brakes lie anywhere in the paper's Table II, as table_ii_brake() there. The
+# instant counts from the check's start. 35 checks in a row meet each reading in each kind.
 draw() {
   awk -v number="$1" -v duration="$check_s" '
     function uniform(lower, upper) { return lower + (upper - lower) * rand() }
+    function parameter(name, nominal, lower, upper) { printf "%s %.6g\n", name, nominal * uniform(lower, upper) }
     BEGIN {
       split("force velocity position torque encoder", readings)
       split("frozen scaled negated offset late noisy silent", kinds)
       split("16e3 150 30 2 30", offsets)
       split("12e3 100 4 1.5 4", noises)
-      srand(number)
+      srand(1) # One sequence for all checks: what is drawn from seeds in a row is nearly equally spaced.
+      for (i = 0; i < 16 * number; i++) rand()
       reading = number % 5 + 1
       kind = kinds[number % 7 + 1]
       instant = uniform(0, duration)
@@ -61,6 +64,15 @@ draw() {
       if (kind == "late") amount = int(uniform(15, 100))
       if (kind == "noisy") amount = uniform(0.25, 1) * noises[reading]
       printf "%s %s %.4f %.4f\n", readings[reading], kind, amount, instant
+      print "seed", 1000 + number
+      if (number % 3 == 0) exit
+      parameter("k1", -3.54e-1, 0.80, 1.0)
+      parameter("k2", 3.52e1, 0.89, 1.0)
+      parameter("TC", 7.67e-2, 1.0, 1.67)
+      parameter("Ts0", 4.68e-2, 0.92, 1.0)
+      parameter("Tv", 4.46e-4, 1.0, 2.45)
+      parameter("mus", 3.55e-5, 0.875, 1.05)
+      parameter("ws", 2.89e1, 0.38, 1.0)
     }'
 }
 
@@ -68,10 +80,10 @@ draw() {
 spoiled_check() {
   draw "$1" >/tmp/drawn
   read -r reading kind amount instant_s </tmp/drawn
+  brake_values=$(tail -n +2 /tmp/drawn)
   at_s=$(awk -v instant="$instant_s" -v start=$spoiled_start_s 'BEGIN { printf "%.4f", start + instant }')
   brake_tables=$(printf '[[spoil]]\nreading = "%s"\nkind = "%s"\namount = %s\nat_s = %s' \
     "$reading" "$kind" "$amount" "$at_s")
-  brake_seed=$((1000 + $1))
   start_ready_brake
   brake_tables=
   wait_until 10 "the time to start the check" later_than "$brake_begin_s" $spoiled_start_s "-$command_s" -0.02
@@ -272,7 +284,7 @@ spoiled_campaign() {
     spoiled_check $number
     number=$((number + 1))
   done
-  brake_seed=
+  brake_values=
   print_spoiled
   faults=$(counted 2 fault)
   expect "all $1 checks were judged" [ "$(wc -l <$results)" = "$1" ]
