@@ -93,8 +93,8 @@ spoiled_check() {
   sleep 0.1 # whatever still moves the brake shows in its trace
   clocks=$(cause kill 0 $$)
   stop_recording
-  stop_brake
   judge_spoiled_check
+  stop_brake
 }
 
 # A brake of which the station is ready in time for the check: begun again where that took too long, since readings that lie
@@ -123,12 +123,15 @@ ready_in_time() {
 
 # Judges by the record, by what the brake's trace says of the truth, and by the commands on the bus.
 judge_spoiled_check() {
+  true_course "$trace" "$at_s" >/tmp/course
+  read -r speed force check_begin_s spoiled_s off_s undriven_s </tmp/course
+  if [ -z "$undriven_s" ]; then
+    judge_idle_station
+    return
+  fi
   verdict=$(json_get "/tmp/$id.json" /verdict)
   reason=$(json_get "/tmp/$id.json" /reason)
   fault=$(json_get "/tmp/$id.json" /fault)
-  true_course "$trace" "$at_s" >/tmp/course
-  read -r speed force check_begin_s spoiled_s off_s undriven_s </tmp/course
-  [ -n "$undriven_s" ] || fail "$name: the drive was never enabled, or the brake ended before the instant"
   after_ms=$(milliseconds "$spoiled_s" "$off_s")
   torque_ms=0
   named=0
@@ -159,6 +162,14 @@ judge_spoiled_check() {
   [ $unsafe = 0 ] || echo "UNSAFE: $name: $reason"
   [ -z "$wrong" ] || echo "WRONG: $name: $wrong: $reason"
   [ $ended:$named != fault:0 ] || echo "UNNAMED: $name: $reason"
+}
+
+# A reading that begins to lie just before the drive is enabled may be noticed by then, so that nothing moves.
+judge_idle_station() {
+  [ "$(status state)" = FAULT ] || fail "$name: the drive was never enabled, or the brake ended before the instant"
+  case $code in 0 | 1) fail "$name: exit code $code of a check that never began" ;; esac
+  echo "$reading early 0 0 $speed $force 0" >>$results
+  echo "early: $name $amount: $(status fault) before anything moved"
 }
 
 # milliseconds FROM_S TO_S
@@ -244,8 +255,8 @@ print_spoiled() {
         }
       n = latencies[name]
       median = n ? sprintf("%.0f", latency[name, int((n + 1) / 2)]) : "-"
-      printf "%-9s %6d %6d %6d %8d %7d %5d %6d %9.0f %7.0f %9s %8s\n", name, checks[name], ends[name, "fault"], named[name],
-        ends[name, "harmless"], ends[name, "refused"], ends[name, "wrong"], unsafe[name], speed[name], force[name], median,
+      printf "%-9s %6d %6d %6d %8d %7d %5d %5d %6d %9.0f %7.0f %9s %8s\n", name, checks[name], ends[name, "fault"], named[name],
+        ends[name, "harmless"], ends[name, "refused"], ends[name, "early"], ends[name, "wrong"], unsafe[name], speed[name], force[name], median,
         n ? sprintf("%.0f", latency[name, n]) : "-"
     }
     function add(name) {
@@ -259,8 +270,8 @@ print_spoiled() {
     }
     { add($1); add("all") }
     END {
-      printf "%-9s %6s %6s %6s %8s %7s %5s %6s %9s %7s %9s %8s\n", "reading", "checks", "faults", "named", "harmless",
-        "refused", "wrong", "unsafe", "max rad/s", "max N", "median ms", "worst ms"
+      printf "%-9s %6s %6s %6s %8s %7s %5s %5s %6s %9s %7s %9s %8s\n", "reading", "checks", "faults", "named", "harmless",
+        "refused", "early", "wrong", "unsafe", "max rad/s", "max N", "median ms", "worst ms"
       count = split("force velocity position torque encoder all", names)
       for (k = 1; k <= count; k++) if (checks[names[k]]) row(names[k])
     }' $results
