@@ -43,10 +43,12 @@ constexpr int kNoisyRow = 8;       // a longer row of equal readings at rest: to
 constexpr int kRepeatFactor = 5, kRepeatMargin = 5;
 constexpr int kMaxRepeats = 1'000'000;
 
-/// Of five, so that two outliers beside each other are none.
-double median_of(std::array<double, 5> values) noexcept {
-  std::nth_element(values.begin(), values.begin() + 2, values.end());
-  return values[2];
+/// Of five, so that two outliers beside each other are none. Without branches.
+double median_of(const std::array<double, 5>& values) noexcept {
+  const auto& [a, b, c, d, e] = values;
+  const double lower = std::max(std::min(a, b), std::min(c, d));
+  const double upper = std::min(std::max(a, b), std::max(c, d));
+  return std::max(std::min(lower, upper), std::min(std::max(lower, upper), e));
 }
 
 template <std::size_t n>
@@ -145,8 +147,22 @@ void ReadingMonitor::compare_torque(double samples) noexcept {
   torque_level_ = torque_excess_Nm_ / (kTorqueSamples * tolerances_.torque_Nm);
 }
 
-void ReadingMonitor::compare_momentum(Momentum& momentum, double velocity_rad_s, double elapsed_s,
-                                      bool stop_ahead) noexcept {
+ReadingMonitor::Drivers ReadingMonitor::drivers() const noexcept {
+  Drivers drivers;
+  drivers.force_N = std::max(0.0, force_N_);
+  const Interval torque_Nm = torque_range();
+  const double unknown_Nm = kTorqueUnknown_Nm + kTorqueUnknownShare * std::max(std::abs(torque_Nm.lower),
+                                                                               std::abs(torque_Nm.upper));
+  const double load_lower_Nm =
+      kRatioLower * drive_.ratio_m_rad * std::max(0.0, drivers.force_N - kForceUnknown_N);
+  const double load_upper_Nm = kRatioUpper * drive_.ratio_m_rad * (drivers.force_N + kForceUnknown_N);
+  drivers.torque_Nm = {torque_Nm.lower - load_upper_Nm - unknown_Nm,
+                       torque_Nm.upper - load_lower_Nm + unknown_Nm};
+  return drivers;
+}
+
+void ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers& drivers, double velocity_rad_s,
+                                      double elapsed_s, bool stop_ahead) noexcept {
   const double before_rad_s = momentum.before_rad_s;
   momentum.before_rad_s = velocity_rad_s;
   const double slower_rad_s = std::min(std::abs(velocity_rad_s), std::abs(before_rad_s));
@@ -154,16 +170,10 @@ void ReadingMonitor::compare_momentum(Momentum& momentum, double velocity_rad_s,
   const bool forward = std::min(velocity_rad_s, before_rad_s) > kSurelyMoving_rad_s;
   const bool backward = std::max(velocity_rad_s, before_rad_s) < -kSurelyMoving_rad_s;
 
-  const double force_N = std::max(0.0, force_N_);
-  const Interval torque_Nm = torque_range();
-  const double unknown_Nm = kTorqueUnknown_Nm + kTorqueUnknownShare * std::max(std::abs(torque_Nm.lower),
-                                                                               std::abs(torque_Nm.upper));
-  const double friction_Nm = this->friction_Nm(slower_rad_s, force_N) +
+  const double friction_Nm = this->friction_Nm(slower_rad_s, drivers.force_N) +
                              kViscousFriction * drive_.viscous_Nm_s_rad * (faster_rad_s - slower_rad_s);
-  const double load_lower_Nm = kRatioLower * drive_.ratio_m_rad * std::max(0.0, force_N - kForceUnknown_N);
-  const double load_upper_Nm = kRatioUpper * drive_.ratio_m_rad * (force_N + kForceUnknown_N);
-  const double most_Nm = torque_Nm.upper - load_lower_Nm + (forward ? 0.0 : friction_Nm) + unknown_Nm;
-  const double least_Nm = torque_Nm.lower - load_upper_Nm - (backward ? 0.0 : friction_Nm) - unknown_Nm;
+  const double most_Nm = drivers.torque_Nm.upper + (forward ? 0.0 : friction_Nm);
+  const double least_Nm = drivers.torque_Nm.lower - (backward ? 0.0 : friction_Nm);
   const double light = kInertiaLower * drive_.inertia_kg_m2, heavy = kInertiaUpper * drive_.inertia_kg_m2;
   const Interval change_rad_s{elapsed_s * least_Nm / (least_Nm < 0.0 ? light : heavy),
                               elapsed_s * most_Nm / (most_Nm > 0.0 ? light : heavy)};
@@ -275,8 +285,9 @@ FaultCause ReadingMonitor::observe(const BrakeFeedback& feedback, const ReadingC
   compare_force(feedback, step_rad);
   compare_compression(feedback, context);
   compare_position(feedback, step_rad, elapsed_s);
-  compare_momentum(by_velocity_, feedback.velocity_rad_s, elapsed_s, context.stop_ahead);
-  compare_momentum(by_position_, step_rad / elapsed_s, elapsed_s, context.stop_ahead);
+  const Drivers drivers = this->drivers();
+  compare_momentum(by_velocity_, drivers, feedback.velocity_rad_s, elapsed_s, context.stop_ahead);
+  compare_momentum(by_position_, drivers, step_rad / elapsed_s, elapsed_s, context.stop_ahead);
   compare_torque(static_cast<double>(samples));
   velocity_stuck_ = velocity_repeats_.repeats_too_often(feedback.velocity_rad_s, context.at_rest);
   force_stuck_ = force_repeats_.repeats_too_often(feedback.force_N, context.at_rest);

@@ -103,6 +103,12 @@ class ReadingMonitor {
     double peak = 0.0;   ///< of level, forgotten slowly
   };
 
+  /// What moves the motor besides friction, which depends on its speed.
+  struct Drivers {
+    double force_N = 0.0;
+    Interval torque_Nm;  ///< of the drive less the load of the force
+  };
+
   static constexpr int kHistory = 4;
 
   void begin_at(const BrakeFeedback& feedback) noexcept;
@@ -111,7 +117,8 @@ class ReadingMonitor {
   double slope_N_rad(double force_N) const noexcept;
   double nominal_N(double compression_rad) const noexcept;
   void compare_torque(double samples) noexcept;
-  void compare_momentum(Momentum& momentum, double velocity_rad_s, double elapsed_s,
+  Drivers drivers() const noexcept;
+  void compare_momentum(Momentum& momentum, const Drivers& drivers, double velocity_rad_s, double elapsed_s,
                         bool stop_ahead) noexcept;
   void compare_position(const BrakeFeedback& feedback, double step_rad, double elapsed_s) noexcept;
   void compare_force(const BrakeFeedback& feedback, double step_rad) noexcept;

@@ -30,11 +30,14 @@ bring_up() {
   esac
 }
 
-# start_brake TRACE [FAULT-KIND AT_S DURATION_S]; brake_tables: further tables of its configuration; brake_seed: of its noise
+# start_brake TRACE [FAULT-KIND AT_S DURATION_S]; brake_tables: further tables of its configuration; brake_values: lines
+# "NAME VALUE" for what has another value than in plant.toml.
 start_brake() {
   trace=$1
-  cp plant.toml /tmp/plant.toml
-  if [ -n "${brake_seed:-}" ]; then sed -i "s/^seed = .*/seed = $brake_seed/" /tmp/plant.toml; fi
+  echo "${brake_values:-}" | awk '
+    NR == FNR { value[$1] = $2; next }
+    $2 == "=" && $1 in value { $3 = value[$1] }
+    { print }' - plant.toml >/tmp/plant.toml
   if [ $# -gt 1 ]; then
     printf '\n[[fault]]\nkind = "%s"\nat_s = %s\nduration_s = %s\n' "$2" "$3" "$4" >>/tmp/plant.toml
   fi
@@ -102,8 +105,8 @@ expect_pass() {
   fail "$1: exit code $code, $(json_get "/tmp/$1.json" /verdict): $(json_get "/tmp/$1.json" /reason)"
 }
 
-# truth PARAMETER: the brake's own.
-truth() { awk -v name="$1" '$1 == name { print $3 }' plant.toml; }
+# truth PARAMETER: of the brake that was started last.
+truth() { awk -v name="$1" '$1 == name { print $3 }' /tmp/plant.toml; }
 
 # expect_close_to_truth CHECK: every estimate within three of its reported standard deviations.
 expect_close_to_truth() {

@@ -4,6 +4,7 @@
 # tests/scenario/reading_campaign.cpp.
 #
 # environment: CLAMPD_SPOILED_READINGS
+# environment: CLAMPD_SPOILED_FIRST
 . ./common.sh
 . ./bench.sh
 . ./faults.sh
@@ -24,7 +25,7 @@ spoiled_reading velocity negated velocity
 spoiled_reading force silent force
 
 measure_check
-spoiled_campaign "${CLAMPD_SPOILED_READINGS:-6}"
+spoiled_campaign "${CLAMPD_SPOILED_READINGS:-6}" "${CLAMPD_SPOILED_FIRST:-1}"
 
 start_brake /tmp/trace.csv
 wait_until 10 "the fault can be cleared" clearable

@@ -80,6 +80,7 @@ stop_it
 wait_until 10 "the fault can be cleared" clearable
 echo "ok: the status is answered while the disk stalls"
 wait_until 31 "30 s have passed" later_than "$stalled_s" 30
+expect "the verdict waits for the disk" [ ! -s "/tmp/$id.json" ]
 fsfreeze --unfreeze /disk || fail "the disk stays frozen"
 expect_aborted
 again
