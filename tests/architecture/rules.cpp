@@ -23,6 +23,7 @@ const std::map<std::string_view, Rooms>& arrows() {
       {"control", {"record", "base"}},
       {"experiment", {"control", "identify", "brake", "record", "statistics", "base"}},
       {"diagnose", {"identify", "brake", "record", "statistics", "base"}},
+      {"drive", {"diagnose", "statistics", "record", "base"}},
       {"station", {"diagnose", "experiment", "identify", "brake", "record", "base"}},
       {"archive", {"record", "base"}},
       {"publish", {"archive", "record", "base"}},

@@ -8,8 +8,8 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/diagnose/diagnosis.hpp"
-#include "clampd/diagnose/drive_diagnosis.hpp"
-#include "clampd/diagnose/drive_model.hpp"
+#include "clampd/drive/diagnosis.hpp"
+#include "clampd/drive/model.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
 #include "clampd/report/figure.hpp"

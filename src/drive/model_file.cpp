@@ -1,7 +1,9 @@
-#include "clampd/diagnose/drive_model.hpp"
+#include "clampd/drive/model.hpp"
 
 #include <cmath>
+#include <algorithm>
 #include <initializer_list>
+#include <limits>
 #include <optional>
 #include <utility>
 
@@ -23,9 +25,10 @@ class ModelReader {
   DriveModel read() {
     DriveModel model;
     model.file = path_;
-    known(document_, "", {"drive", "columns", "model", "data"});
+    known(document_, "", {"drive", "columns", "regressors", "model", "data", "fitted"});
     if (const toml::table* drive = section("drive", true)) read_drive(*drive, model);
     if (const toml::table* columns = section("columns", true)) read_columns(*columns, model.columns);
+    if (const toml::table* regressors = section("regressors", false)) read_regressors(*regressors, model);
     for (std::size_t i = 0; i < kDriveTermCount; ++i)
       model.parts[i].use = i < kBaseTerms ? PartUse::Estimate : PartUse::Candidate;
     if (const toml::table* data = section("data", false)) read_data(*data, model);
@@ -96,8 +99,9 @@ class ModelReader {
     }
     model.linear = kind == "linear";
     model.torque_unit = text(drive, "unit").value_or(model.linear ? "N" : "N m");
-    if (model.torque_unit != "N m" && model.torque_unit != "N" && model.torque_unit != "A")
-      refuse(*drive.get("unit"), "unit must be \"N m\", \"N\" or \"A\"; use scale for another one");
+    const auto is = [&](const char* unit) { return model.torque_unit == unit; };
+    if (!is("N m") && !is("N") && !is("A") && !is("V") && !is("%"))
+      refuse(*drive.get("unit"), "unit must be \"N m\", \"N\", \"A\", \"V\" or \"%\"; use scale for another one");
   }
 
   std::optional<ColumnSource> source(const toml::table& columns, std::string_view key) {
@@ -109,15 +113,46 @@ class ModelReader {
       if (!column) return std::nullopt;
       return ColumnSource{*column};
     }
-    known(*table, fmt::format("columns.{}", key), {"column", "scale", "wrap"});
+    known(*table, key, {"column", "scale", "wrap", "offset", "minus", "use"});
     const std::optional<std::string> column = text(*table, "column");
     if (!column) refuse(*node, fmt::format("columns.{} needs column = \"...\"", key));
-    return ColumnSource{column.value_or(""), number(*table, "scale", false).value_or(1.0),
-                        number(*table, "wrap", true).value_or(0.0)};
+    ColumnSource source{column.value_or(""), number(*table, "scale", false).value_or(1.0), number(*table, "wrap", true).value_or(0.0)};
+    if (table->contains("offset")) source.offset = finite(*table, "offset");
+    source.minus = text(*table, "minus").value_or("");
+    return source;
+  }
+
+  double finite(const toml::table& table, std::string_view key) {
+    const toml::node& node = *table.get(key);
+    const double value = node.is_number() ? node.value_or(0.0) : std::numeric_limits<double>::quiet_NaN();
+    if (std::isfinite(value)) return value;
+    refuse(node, fmt::format("{} must be a finite number", key));
+    return 0.0;
+  }
+
+  /// NAME = "column" or {column = "...", scale, offset, minus, use = "candidate", "estimate", "known-torque" or "off"}
+  void read_regressors(const toml::table& regressors, DriveModel& model) {
+    for (const auto& [key, node] : regressors) {
+      const std::optional<ColumnSource> each = source(regressors, key.str());
+      if (!each) continue;
+      DriveRegressor regressor{std::string(key.str())};
+      const toml::table* table = node.as_table();
+      const std::string use = table == nullptr ? "candidate" : text(*table, "use").value_or("candidate");
+      if (use == "estimate")
+        regressor.use = PartUse::Estimate;
+      else if (use == "off")
+        regressor.use = PartUse::Off;
+      else if (use == "known-torque")
+        regressor.known_torque = true;
+      else if (use != "candidate")
+        refuse(node, fmt::format("use of {} must be \"candidate\", \"estimate\", \"known-torque\" or \"off\"", key.str()));
+      model.regressors.push_back(regressor);
+      model.columns.others.emplace_back(regressor.name, *each);
+    }
   }
 
   void read_columns(const toml::table& columns, ColumnMap& map) {
-    known(columns, "[columns]", {"time", "torque", "position", "velocity"});
+    known(columns, "[columns]", {"time", "torque", "position", "velocity", "drive_enabled"});
     for (const std::string_view required : {"time", "torque"})
       if (!columns.contains(required)) refuse(columns, fmt::format("columns.{} is missing", required));
     if (!columns.contains("position") && !columns.contains("velocity"))
@@ -126,6 +161,7 @@ class ModelReader {
     map.torque = source(columns, "torque").value_or(ColumnSource{});
     map.position = source(columns, "position");
     map.velocity = source(columns, "velocity");
+    map.drive_enabled = source(columns, "drive_enabled");
     if (map.time.scale < 0.0) refuse(*columns.get("time"), "the scale of time must be positive");
     std::vector<std::string> used;
     for (const auto& [key, node] : columns) {
@@ -138,7 +174,7 @@ class ModelReader {
   }
 
   void read_data(const toml::table& data, DriveModel& model) {
-    known(data, "[data]", {"steady", "torque_held", "cut_off_Hz"});
+    known(data, "[data]", {"steady", "torque_held", "cut_off_Hz", "good_enough", "skip_lines"});
     for (const auto& [key, target] :
          {std::pair{"steady", &model.steady}, {"torque_held", &model.torque_held}}) {
       const toml::node* node = data.get(key);
@@ -147,6 +183,8 @@ class ModelReader {
       *target = node->value_or(false);
     }
     if (const auto cut_off = number(data, "cut_off_Hz", true)) model.cut_off_Hz = *cut_off;
+    if (const auto share = number(data, "good_enough", true)) model.good_enough = *share;
+    if (const auto lines = number(data, "skip_lines", true)) model.columns.skip_lines = static_cast<int>(std::min(*lines, 1e6));
   }
 
   void read_parts(const toml::table& parts, DriveModel& model) {

@@ -8,7 +8,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "clampd/diagnose/drive_diagnosis.hpp"
+#include "clampd/drive/diagnosis.hpp"
 
 /// Data that others measured; sources and licences stand beside them.
 namespace clampd {

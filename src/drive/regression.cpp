@@ -1,4 +1,4 @@
-#include "src/diagnose/drive_regression.hpp"
+#include "src/drive/regression.hpp"
 
 #include <algorithm>
 #include <cmath>

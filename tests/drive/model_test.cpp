@@ -1,4 +1,4 @@
-#include "clampd/diagnose/drive_model.hpp"
+#include "clampd/drive/model.hpp"
 
 #include <cmath>
 #include <filesystem>

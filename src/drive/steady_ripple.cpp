@@ -1,11 +1,11 @@
-#include "src/diagnose/drive_ripple.hpp"
+#include "src/drive/steady_ripple.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
 #include "clampd/statistics/distributions.hpp"
-#include "src/diagnose/drive_regression.hpp"
+#include "src/drive/regression.hpp"
 
 namespace clampd::drive {
 namespace {

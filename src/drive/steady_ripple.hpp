@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "clampd/diagnose/drive_model.hpp"
+#include "clampd/drive/model.hpp"
 #include "clampd/record/run.hpp"
 
 namespace clampd::drive {

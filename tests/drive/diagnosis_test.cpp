@@ -1,4 +1,4 @@
-#include "clampd/diagnose/drive_diagnosis.hpp"
+#include "clampd/drive/diagnosis.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -8,7 +8,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "diagnose/drive_truth.hpp"
+#include "drive/truth.hpp"
 
 namespace clampd {
 namespace {

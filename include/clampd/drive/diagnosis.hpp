@@ -4,7 +4,7 @@
 
 #include "clampd/base/result.hpp"
 #include "clampd/diagnose/diagnosis.hpp"
-#include "clampd/diagnose/drive_model.hpp"
+#include "clampd/drive/model.hpp"
 #include "clampd/record/run.hpp"
 
 namespace clampd {
