@@ -29,8 +29,16 @@ double column_of(const BasisFunction& function, const DriveState& state) {
   return index < state.columns.size() ? state.columns[index] : 0.0;
 }
 
-/// Whether a term loads the drive, rather than rubs: friction that grows with load grows with it.
-bool loads(DriveTerm term) {
+double torque_of(const FittedTerm& term, const DriveState& state, const TermSums& sums) {
+  double torque = 0.0;
+  for (std::size_t i = 0; i < term.functions.size(); ++i)
+    torque += term.coefficients[i] * value_of(term.functions[i], state, sums);
+  return torque;
+}
+
+}  // namespace
+
+bool loads_drive(DriveTerm term) {
   switch (term) {
     case DriveTerm::Inertia:
     case DriveTerm::InertiaPosition:
@@ -44,16 +52,9 @@ bool loads(DriveTerm term) {
   }
 }
 
-double torque_of(const FittedTerm& term, const DriveState& state, double load, double balance) {
-  double torque = 0.0;
-  for (std::size_t i = 0; i < term.functions.size(); ++i)
-    torque += term.coefficients[i] * value_of(term.functions[i], state, load, balance);
-  return torque;
-}
+bool accelerates(DriveTerm term) { return term == DriveTerm::Inertia || term == DriveTerm::InertiaPosition; }
 
-}  // namespace
-
-double value_of(const BasisFunction& function, const DriveState& state, double load, double balance) {
+double value_of(const BasisFunction& function, const DriveState& state, const TermSums& sums) {
   const double carrier = carried(function.carrier, state);
   if (carrier == 0.0) return 0.0;
   const auto place = [&] { return (state.position - function.first) / function.second; };
@@ -85,25 +86,31 @@ double value_of(const BasisFunction& function, const DriveState& state, double l
       return carrier * (column_of(function, state) - function.first);
     case Factor::ColumnSize:
       return carrier * std::abs(column_of(function, state));
+    case Factor::StaticLoad:
+      return carrier * std::abs(sums.static_load);
     case Factor::Load:
-      return carrier * std::abs(load);
+      return carrier * std::abs(sums.load);
     case Factor::Balance:
-      return carrier * balance;
+      return carrier * sums.balance;
     case Factor::BalanceCubed:
-      return carrier * balance * balance * balance / (function.first * function.first);
+      return carrier * sums.balance * sums.balance * sums.balance / (function.first * function.first);
   }
   return 0.0;
 }
 
 double torque_of(const FittedDrive& drive, const DriveState& state) {
-  double load = 0.0, balance = 0.0;
+  TermSums sums;
+  for (const FittedTerm& term : drive.terms) {
+    if (!loads_drive(term.term)) continue;
+    const double torque = torque_of(term, state, {});
+    sums.load += torque;
+    if (!accelerates(term.term)) sums.static_load += torque;
+  }
   for (const FittedTerm& term : drive.terms)
-    if (loads(term.term)) load += torque_of(term, state, 0.0, 0.0);
+    if (term.term != DriveTerm::TorqueSaturation) sums.balance += torque_of(term, state, sums);
+  double torque = sums.balance;
   for (const FittedTerm& term : drive.terms)
-    if (term.term != DriveTerm::TorqueSaturation) balance += torque_of(term, state, load, 0.0);
-  double torque = balance;
-  for (const FittedTerm& term : drive.terms)
-    if (term.term == DriveTerm::TorqueSaturation) torque += torque_of(term, state, load, balance);
+    if (term.term == DriveTerm::TorqueSaturation) torque += torque_of(term, state, sums);
   return torque;
 }
 

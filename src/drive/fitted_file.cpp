@@ -15,9 +15,9 @@ namespace clampd {
 namespace {
 
 constexpr std::array<std::string_view, 5> kCarrierNames{"one", "acceleration", "velocity", "direction", "sliding"};
-constexpr std::array<std::string_view, 16> kFactorNames{"one",    "power",      "stribeck", "reversal", "place",       "place-squared",
+constexpr std::array<std::string_view, 17> kFactorNames{"one",    "power",      "stribeck", "reversal", "place",       "place-squared",
                                                         "cosine", "sine",       "time",     "time-decay", "run",       "column",
-                                                        "column-size", "load",  "balance",  "balance-cubed"};
+                                                        "column-size", "static-load", "load",  "balance",  "balance-cubed"};
 
 template <std::size_t N>
 std::optional<std::size_t> index_of(const std::array<std::string_view, N>& names, std::string_view name) {
@@ -169,7 +169,7 @@ class FittedReader {
     function.first = number(*table, "first", 0.0);
     function.second = number(*table, "second", 1.0);
     function.index = static_cast<int>(std::clamp(number(*table, "index", -1.0), -1.0, 1e6));
-    const bool of_column = function.factor == Factor::Column || function.factor == Factor::ColumnSize;
+    const bool of_column = function.factor == BasisFunction::Factor::Column || function.factor == BasisFunction::Factor::ColumnSize;
     if (of_column && (function.index < 0 || static_cast<std::size_t>(function.index) >= model.regressors.size()))
       refuse(node, fmt::format("index {} is none of the {} regressors", function.index, model.regressors.size()));
     return function;

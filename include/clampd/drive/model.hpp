@@ -118,6 +118,7 @@ struct BasisFunction {
     Run,            ///< run - first
     Column,         ///< columns[index] - first
     ColumnSize,     ///< abs(columns[index])
+    StaticLoad,     ///< as Load, without inertia
     Load,           ///< abs(sum of the terms that load the drive: inertia, gravity, offset, springs, columns)
     Balance,        ///< sum of all other terms
     BalanceCubed,   ///< its third power over first squared
@@ -129,8 +130,15 @@ struct BasisFunction {
   bool operator==(const BasisFunction&) const = default;
 };
 
-/// Needs `load` and `balance` for the factors that depend on other terms.
-double value_of(const BasisFunction& function, const DriveState& state, double load = 0.0, double balance = 0.0);
+/// Sums over other terms that some factors need.
+struct TermSums {
+  double load = 0.0, static_load = 0.0, balance = 0.0;
+};
+double value_of(const BasisFunction& function, const DriveState& state, const TermSums& sums = {});
+
+/// Whether a term loads the drive, rather than rubs: friction that grows with load grows with it.
+bool loads_drive(DriveTerm term);
+bool accelerates(DriveTerm term);  ///< its torque goes with the acceleration
 
 struct FittedTerm {
   DriveTerm term = DriveTerm::Inertia;
