@@ -10,6 +10,8 @@
 #include <fmt/format.h>
 
 #include "clampd/base/nan.hpp"
+#include "clampd/drive/data_check.hpp"
+#include "src/drive/next_motion.hpp"
 #include "src/drive/parameters.hpp"
 #include "src/drive/remainder.hpp"
 #include "src/drive/steady_ripple.hpp"
@@ -30,7 +32,7 @@ constexpr std::array<UnseenReason, 4> kNeverSeen{{
 }};
 
 /// A reading that is late by less than this many rows is put right without a word about the drive: a command acts until the next row.
-constexpr double kAlignedRows = 0.75;
+constexpr double kAlignedRows = 1.0;
 /// What a free function of all columns takes of the squared rest, from which on something is missing however small the rest is.
 constexpr double kStructured = 0.25;
 
@@ -59,11 +61,12 @@ Eigen::VectorXd known_torque(const DriveData& data, const DriveRange& range, con
 double alignment_s(Selector& selector, const TorqueModel& rich, double sample_s) {
   double best_s = 0.0;
   TorqueModel best = rich;
-  for (int k = -3; k <= 3; ++k) {
+  constexpr int kSteps = 8;
+  for (int k = -kSteps; k <= kSteps; ++k) {
     if (k == 0) continue;
     std::vector<Variant> parts = rich.parts;
     Variant lag{DriveTerm::TorqueLag, "torque-lag", {}};
-    lag.lag_s = k * 0.25 * sample_s;
+    lag.lag_s = k * kAlignedRows / kSteps * sample_s;
     parts.push_back(lag);
     TorqueModel shifted = selector.fitted(std::move(parts));
     if (shifted.ok() && shifted.fit.square < best.fit.square) {
@@ -256,6 +259,41 @@ NamedEffect named(const Variant& effect, const Selection& selection, Selector& s
   return result;
 }
 
+/// Periodic torques within runs at steady speeds, which count as one row each otherwise.
+void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candidates, Diagnosis& diagnosis, std::vector<std::string>& words) {
+  const std::string name(name_of(DriveTerm::Cogging));
+  if (!ripple.tested) {
+    diagnosis.unseen.push_back({name, ripple.reason});
+    return;
+  }
+  CandidateSummary summary;
+  summary.name = name;
+  summary.predicted_gain = summary.gain = ripple.gain;
+  summary.parameters = static_cast<int>(2 * ripple.orders.size());
+  summary.significance_nats = ripple.significance_nats;
+  summary.chosen = !ripple.orders.empty();
+  int number = 0;
+  for (const SteadyRipple::Order& order : ripple.orders) {
+    const std::string suffix = fmt::format("-{}", ++number);
+    summary.values.push_back({"order" + suffix, units.order, order.order, kNaN});
+    if (!std::isnan(order.forward)) summary.values.push_back({"amplitude-forward" + suffix, units.torque, order.forward, order.forward_sd});
+    if (!std::isnan(order.backward))
+      summary.values.push_back({"amplitude-backward" + suffix, units.torque, order.backward, order.backward_sd});
+    diagnosis.notices.push_back(
+        fmt::format("within the steady runs, order {} makes {:.0f} % of the torque's variance", order.order, 100.0 * order.share));
+  }
+  if (summary.chosen) {
+    NamedEffect effect;
+    effect.name = name;
+    effect.parameters = summary.values;
+    effect.log_likelihood_gain = ripple.gain;
+    effect.p_value = std::min(1.0, candidates * std::exp(-ripple.significance_nats));
+    diagnosis.effects.push_back(std::move(effect));
+    words.emplace_back(words_of(DriveTerm::Cogging));
+  }
+  diagnosis.candidates.push_back(std::move(summary));
+}
+
 std::string listed(const std::vector<std::string>& words) {
   std::string text;
   for (std::size_t i = 0; i < words.size(); ++i) text += (i == 0 ? "" : i + 1 == words.size() ? "; and " : "; ") + words[i];
@@ -276,14 +314,19 @@ std::string rest_words(const Remainder& rest, const std::vector<DependenceTest>&
 
 }  // namespace
 
-Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model, const DiagnoseOptions& options) {
+Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model, const DiagnoseOptions& options) {
   const auto started = std::chrono::steady_clock::now();
   const auto progress = [&](double share, const char* what) {
     if (options.progress) options.progress(share, what);
   };
-  progress(0.0, "motion");
+  progress(0.0, "readings");
   std::vector<Run> all(runs.begin(), runs.end());
   all.insert(all.end(), options.heldout.begin(), options.heldout.end());
+  Result<CheckedData> checked = check_data(all, model);
+  if (!checked) return tl::unexpected(checked.error());
+  if (checked->stops()) return failure(stop_message(*checked));
+  if (!checked->runs.empty()) all = std::move(checked->runs);
+  progress(0.1, "motion");
   Result<DriveData> data = prepare(all, runs.size(), model);
   if (!data) return tl::unexpected(data.error());
   all.clear();
@@ -300,7 +343,8 @@ Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& mo
                                model.file));
   progress(0.9, "what is left");
 
-  Diagnosis diagnosis;
+  DriveDiagnosis diagnosis;
+  diagnosis.data = std::move(checked->findings);
   const Units units(model);
   diagnosis.notices = shop.data.notices;
   diagnosis.rows = shop.data.rows;
@@ -327,6 +371,14 @@ Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& mo
     diagnosis.effects.push_back(named(effect, selection, selector, after));
     words.emplace_back(words_of(effect.term));
   }
+  if (model.steady && model.part(DriveTerm::Cogging).use == PartUse::Candidate)
+    add_steady_ripple(steady_ripple(runs, model, selection.alarm_nats), units, selection.candidates, diagnosis, words);
+  diagnosis.fitted = {model, selector.terms_of(selection.best), after.covariance(), selector.lag_of(selection.best),
+                      shop.data.cut_off_Hz, shop.data.slow_speed, kNaN};
+  // Known values are certain.
+  Eigen::Index coefficients = 0;
+  for (const FittedTerm& term : diagnosis.fitted.terms) coefficients += static_cast<Eigen::Index>(term.coefficients.size());
+  diagnosis.fitted.covariance.conservativeResizeLike(Eigen::MatrixXd::Zero(coefficients, coefficients));
   diagnosis.alarm_evidence = selection.alarm_nats;
   add_ladder(selection, selector, design, model, diagnosis);
 
@@ -340,6 +392,7 @@ Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& mo
   rest.explainable = explainable_share(design, selection.best, model);
   diagnosis.share_left = rest.share;
   diagnosis.share_explainable = rest.explainable;
+  diagnosis.fitted.error_rms = rest.left;
   diagnosis.misfit.tests_before = tests_of(design, selection.base, rest_before);
   diagnosis.misfit.tests_after = tests_of(design, selection.best, rest);
   const std::vector<DependenceTest> left = dependences(design, selection.best, model);
@@ -372,6 +425,7 @@ Result<Diagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& mo
       diagnosis.notices.push_back(fmt::format("what is left {}", rest_words(rest, left, units)));
   }
 
+  diagnosis.next_experiment = next_motion(diagnosis.fitted, diagnosis.rivals, selection.unseen, shop.range);
   for (const auto& [name, reason] : selection.unseen) diagnosis.unseen.push_back({name, reason.reason});
   for (const UnseenReason& each : kNeverSeen) diagnosis.unseen.push_back({std::string(each.name), std::string(each.reason)});
   HeldOutGain gain;

@@ -16,7 +16,7 @@ constexpr int kLevels = 12;        ///< of a free function of one variable
 constexpr int kPairLevels = 6;     ///< of each of two
 constexpr double kNoiseFactor = 1.5;  ///< of the variance: the readings' noise is known no better
 constexpr double kWhite = 0.35;    ///< correlation of neighbouring rows; the rows' filter alone makes 0.1
-constexpr double kLeastShare = 0.02;
+constexpr double kLeastDependence = 0.02;
 
 /// Number of the level that each value lies in, by quantiles of the fitted rows. Equal values share a level.
 std::vector<int> levels_of(const Design& design, const Eigen::VectorXd& values, int count, int& levels) {
@@ -264,13 +264,12 @@ std::vector<DependenceTest> dependences(const Design& design, const TorqueModel&
     DependenceTest test;
     test.dependence.variable = name;
     test.share = free_function_share(design, residuals, variable_of(design, name, drive));
-    if (test.share < kLeastShare) continue;
+    if (test.share < kLeastDependence) continue;
     test.dependence.gain = -0.5 * rows * std::log(std::max(1e-12, 1.0 - test.share));
     // By the rows' own memory there are fewer independent ones.
     const double rho = std::clamp(neighbour_correlation(design, residuals), 0.0, 0.99);
-    const double free = rows * (1.0 - rho) / (1.0 + rho);
-    const double f = test.share / (1.0 - std::min(test.share, 0.999999)) * free / (2.0 * kLevels);
-    test.dependence.p_value = statistics::fisher_f_p_value(f, 2.0 * kLevels, std::max(2.0, free));
+    test.dependence.gain *= (1.0 - rho) / (1.0 + rho);
+    test.dependence.p_value = std::min(1.0, std::exp(-test.dependence.gain));  // held out, so that no level is counted against it
     tests.push_back(std::move(test));
   }
   std::ranges::sort(tests, [](const DependenceTest& a, const DependenceTest& b) { return a.share > b.share; });

@@ -1,6 +1,7 @@
 #include "src/drive/rows.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -46,22 +47,30 @@ double median_step(std::span<const double> time_s) {
   return quantile(std::move(steps), 0.5);
 }
 
-/// Standard deviation of white noise in evenly sampled readings, by their differences of the given order, which smooth motion
-/// hardly has; the largest hundredth, as by spikes, is cut to size.
-double white_noise(std::span<const double> x, int order) {
-  std::vector<double> d(x.begin(), x.end());
-  double gain = 1.0;
-  for (int k = 1; k <= order; ++k) {
-    for (std::size_t i = 0; i + 1 < d.size(); ++i) d[i] = d[i + 1] - d[i];
-    d.pop_back();
-    gain *= 2.0 * (2.0 * k - 1.0) / k;  // binomial coefficient of 2k over k
+/// Standard deviation of white noise in readings at any times: what they differ by from the polynomial through `beside` neighbours on
+/// either side, which smooth motion hardly does. The largest hundredth, as by spikes, is cut to size.
+double white_noise(std::span<const double> time_s, std::span<const double> x, std::size_t beside) {
+  constexpr std::size_t kMost = 20'000;
+  const std::size_t n = x.size();
+  if (n < 4 * beside) return 0.0;
+  const std::size_t stride = std::max<std::size_t>(1, n / kMost);
+  std::vector<double> deviations;
+  for (std::size_t i = beside; i + beside < n; i += stride) {
+    double deviation = x[i], square = 1.0;
+    for (std::size_t j = i - beside; j <= i + beside; ++j) {
+      if (j == i) continue;
+      double weight = 1.0;
+      for (std::size_t k = i - beside; k <= i + beside; ++k)
+        if (k != i && k != j) weight *= (time_s[i] - time_s[k]) / (time_s[j] - time_s[k]);
+      deviation -= weight * x[j];
+      square += weight * weight;
+    }
+    deviations.push_back(std::abs(deviation) / std::sqrt(square));
   }
-  if (d.empty()) return 0.0;
-  for (double& each : d) each = std::abs(each);
-  const double most = quantile(d, 0.99);
+  const double most = quantile(deviations, 0.99);
   double square = 0.0;
-  for (const double each : d) square += std::pow(std::min(each, most), 2);
-  return std::sqrt(square / static_cast<double>(d.size()) / gain);
+  for (const double each : deviations) square += std::pow(std::min(each, most), 2);
+  return std::sqrt(square / static_cast<double>(deviations.size()));
 }
 
 struct Smoothed {
@@ -162,7 +171,7 @@ double torque_bandwidth_Hz(const Run& run) {
   const double mean = std::accumulate(run.torque_Nm.begin(), run.torque_Nm.end(), 0.0) / static_cast<double>(n);
   double power = 0.0;
   for (const double torque : run.torque_Nm) power += std::pow(torque - mean, 2);
-  const double noise = static_cast<double>(n) * std::pow(white_noise(run.torque_Nm, 2), 2);
+  const double noise = static_cast<double>(n) * std::pow(white_noise(run.time_s, run.torque_Nm, 1), 2);
   double chosen_Hz = highest_Hz;
   for (double cut_off_Hz = highest_Hz / 1.25; cut_off_Hz * (time_s[n - 1] - time_s[0]) > 40.0; cut_off_Hz /= 1.25) {
     const double sd_s = gaussian_sd_s(cut_off_Hz);
@@ -289,21 +298,25 @@ void center_held(std::vector<double>& torque) {
 }
 
 /// Where a row's window holds standstill, a gap or the drive off, it is left out.
-enum class RowUse { Used, Standstill, Gap, DriveOff };
+enum class RowUse { Used, Standstill, Gap, DriveOff, Reversal };
+constexpr std::size_t kRowUses = 5;
 
 RowUse use_of(const DriveRows& rows, const Run& run, std::size_t first, const std::vector<double>& weights, double step_s) {
-  constexpr double kMaxStandstill = 0.1;
+  constexpr double kMaxStandstill = 0.1, kMaxReversal = 0.03;
   if (weights.size() < 2) return RowUse::Gap;
-  double standstill = 0.0;
+  double standstill = 0.0, forward = 0.0, backward = 0.0;
   for (std::size_t k = 0; k < weights.size(); ++k) {
-    if (rows.motion.direction[first + k] == 0.0) standstill += weights[k];
+    const double direction = rows.motion.direction[first + k];
+    (direction == 0.0 ? standstill : direction > 0.0 ? forward : backward) += weights[k];
     if (k > 0 && run.time_s[first + k] - run.time_s[first + k - 1] > 2.0 * step_s) return RowUse::Gap;
     if (!run.drive_enabled.empty() && run.drive_enabled[first + k] < 1.0) return RowUse::DriveOff;
   }
-  return standstill > kMaxStandstill ? RowUse::Standstill : RowUse::Used;
+  if (standstill > kMaxStandstill) return RowUse::Standstill;
+  // For how long the drive sticks between two directions, no reading tells.
+  return std::min(forward, backward) + standstill > kMaxReversal ? RowUse::Reversal : RowUse::Used;
 }
 
-DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz, DriveData& data, std::array<double, 4>& seconds) {
+DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz, DriveData& data, std::array<double, kRowUses>& seconds) {
   DriveRows rows;
   rows.name = run.name;
   rows.motion = motion_of(run, cut_off_Hz, data.slow_speed);
@@ -317,7 +330,7 @@ DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz, Dr
     std::vector<double> weights = kernel(time_s, at_s, sd_s, first);
     const RowUse use = use_of(rows, run, first, weights, std::max(step_s, 3.0 * median_step(time_s)));
     seconds[static_cast<std::size_t>(use)] += step_s;
-    if (use == RowUse::Used) RowsBuilder::add(rows, at_s, first, std::move(weights));
+    if (use == RowUse::Used || (use == RowUse::Reversal && data.keeps_reversals)) RowsBuilder::add(rows, at_s, first, std::move(weights));
   }
   RowsBuilder::set_filter(rows, sd_s);
   fill(rows);
@@ -349,8 +362,8 @@ double acceleration_noise(const Run& run, double cut_off_Hz) {
   const double step_s = median_step(run.time_s);
   const double sd_s = gaussian_sd_s(cut_off_Hz);
   if (!run.position_rad.empty())
-    return white_noise(run.position_rad, 5) * std::sqrt(step_s * 3.0 / (8.0 * std::sqrt(M_PI)) / std::pow(sd_s, 5));
-  return white_noise(run.velocity_rad_s, 4) * std::sqrt(step_s / (4.0 * std::sqrt(M_PI)) / std::pow(sd_s, 3));
+    return white_noise(run.time_s, run.position_rad, 3) * std::sqrt(step_s * 3.0 / (8.0 * std::sqrt(M_PI)) / std::pow(sd_s, 5));
+  return white_noise(run.time_s, run.velocity_rad_s, 2) * std::sqrt(step_s / (4.0 * std::sqrt(M_PI)) / std::pow(sd_s, 3));
 }
 
 double variance_of(const Eigen::VectorXd& values) {
@@ -363,7 +376,7 @@ void add_notices(const DriveData& data, DriveData& to) {
     if (run.size() == 0) to.notices.push_back(fmt::format("{}: the drive does not move in it", run.name));
 }
 
-void count_rows(std::span<const Run> runs, const std::array<double, 4>& seconds, DriveData& data) {
+void count_rows(std::span<const Run> runs, const std::array<double, kRowUses>& seconds, DriveData& data) {
   for (const Run& run : runs) data.rows.read += run.size();
   const double all = std::accumulate(seconds.begin(), seconds.end(), 0.0);
   double total_s = 0.0;
@@ -372,14 +385,15 @@ void count_rows(std::span<const Run> runs, const std::array<double, 4>& seconds,
   const auto rows_in = [&](double time_s) {
     return static_cast<std::size_t>(std::llround(static_cast<double>(data.rows.read) * std::min(1.0, time_s / total_s)));
   };
-  data.rows.used = rows_in(seconds[0]);
+  data.rows.used = rows_in(seconds[0] + (data.keeps_reversals ? seconds[4] : 0.0));
   const auto add = [&](const char* reason, std::size_t rows) {
     if (rows > 0) data.rows.left_out.push_back({reason, rows});
   };
   std::size_t left = data.rows.read - data.rows.used;
-  constexpr std::array<const char*, 3> kReasons{"standstill: friction there is anything up to its limit", "a gap in the record",
-                                                "the drive was off"};
+  constexpr std::array<const char*, 4> kReasons{"standstill: friction there is anything up to its limit", "a gap in the record",
+                                                "the drive was off", "a reversal: for how long the drive sticks is not recorded"};
   for (std::size_t k = 0; k < kReasons.size(); ++k) {
+    if (data.keeps_reversals && k == 3) continue;
     const std::size_t rows = std::min(left, rows_in(seconds[k + 1]));
     add(kReasons[k], rows);
     left -= rows;
@@ -388,11 +402,13 @@ void count_rows(std::span<const Run> runs, const std::array<double, 4>& seconds,
 }
 
 /// At the cut-off given.
-DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model, double cut_off_Hz) {
+DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model, double cut_off_Hz,
+                     bool keeps_reversals = false) {
   DriveData data;
+  data.keeps_reversals = keeps_reversals;
   data.cut_off_Hz = cut_off_Hz;
   data.position_absolute = !runs.front().position_rad.empty();
-  std::array<double, 4> seconds{};
+  std::array<double, kRowUses> seconds{};
   double torque_square = 0.0, acceleration_square = 0.0, count = 0.0;
   for (std::size_t r = 0; r < runs.size(); ++r) {
     const Run& run = runs[r];
@@ -404,12 +420,15 @@ DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const 
     rows.run = static_cast<int>(r);
     rows.heldout = r >= heldout_from;
     const auto size = static_cast<double>(rows.size());
-    torque_square += size * std::pow(white_noise(run.torque_Nm, 3), 2) * rows.sum_of_squared_weights / static_cast<double>(together);
+    torque_square += size * std::pow(white_noise(run.time_s, run.torque_Nm, 2), 2) * rows.sum_of_squared_weights / static_cast<double>(together);
     acceleration_square += size * std::pow(acceleration_noise(run, here_Hz), 2);
     count += size;
     data.runs.push_back(std::move(rows));
   }
   if (count > 0.0) data.noise = {std::sqrt(torque_square / count), std::sqrt(acceleration_square / count)};
+  // A drive that swings to and fro all the time has hardly any other rows.
+  if (!keeps_reversals && seconds[0] < seconds[static_cast<std::size_t>(RowUse::Reversal)])
+    return prepare_at(runs, heldout_from, model, cut_off_Hz, true);
   count_rows(runs, seconds, data);
   return data;
 }

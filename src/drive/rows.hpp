@@ -64,6 +64,7 @@ struct DriveData {
   double cut_off_Hz = 0.0;        ///< NaN with steady runs
   double sample_s = 0.0;          ///< between two rows of the files, the median; 0 with steady runs
   bool position_absolute = true;  ///< false: integrated from velocity, zero at the start of each run
+  bool keeps_reversals = false;   ///< rows in which the drive reverses count too
   double slow_speed = 0.0;        ///< below this a reading counts as standstill
   ReadingNoise noise;
   RowCount rows;

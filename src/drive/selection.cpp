@@ -13,9 +13,9 @@ namespace clampd::drive {
 namespace {
 
 /// An effect has to take this share of the squared error where it was not fitted.
-constexpr double kLeastShare = 0.01;
+constexpr double kLeastTaken = 0.01;
 /// And this where what is left is good enough without it.
-constexpr double kLeastShareBeyond = 0.05;
+constexpr double kLeastTakenBeyond = 0.05;
 /// Differences of held-out blocks count from two of their standard errors on.
 constexpr double kCertain = 2.0;
 /// The rivals together have 99 % of the posterior.
@@ -128,6 +128,12 @@ TorqueModel Selector::fitted(std::vector<Variant> parts) {
   model.evidence = -0.5 * rows / options_.overdispersion * std::log(model.fit.square) -
                    design_.log_occam(columns, target, variance) - choices;
   return model;
+}
+
+double Selector::lag_of(const TorqueModel& model) const {
+  double lag_s = options_.lag_s;
+  for (const Variant& part : model.parts) lag_s += part.lag_s;
+  return lag_s;
 }
 
 double Selector::gain(const TorqueModel& more, const TorqueModel& less) const {
@@ -269,10 +275,10 @@ Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& 
   }
   judgement.significance_nats = std::min(by_likelihood, by_blocks) - std::log(std::max(1.0, added.alternatives));
   judgement.material = difference.count > 0 && difference.mean > kCertain * difference.error &&
-                       difference.mean * difference.count > kLeastShare * sum(left_less);
+                       difference.mean * difference.count > kLeastTaken * sum(left_less);
   const double square = design_.residuals(less.fit).squaredNorm(), taken = square - design_.residuals(more.fit).squaredNorm();
   const bool enough = square < std::pow(model_.good_enough * variation_, 2);
-  judgement.material = judgement.material && taken > (enough ? kLeastShareBeyond : kLeastShare) * square;
+  judgement.material = judgement.material && taken > (enough ? kLeastTakenBeyond : kLeastTaken) * square;
   const std::vector<double> held_more = design_.held_out(more.fit), held_less = design_.held_out(less.fit);
   if (!held_more.empty()) judgement.material = judgement.material && sum(held_more) < sum(held_less);
   return judgement;

@@ -62,6 +62,7 @@ class Selector {
 
   TorqueModel fitted(std::vector<Variant> parts);
   std::vector<FittedTerm> terms_of(const TorqueModel& model) const;
+  double lag_of(const TorqueModel& model) const;
   /// Nats by which the larger model's likelihood exceeds the other's.
   double gain(const TorqueModel& more, const TorqueModel& less) const;
   /// Base, and what may join with most columns that no shape decides; for the noise.
