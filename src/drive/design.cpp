@@ -72,7 +72,13 @@ Eigen::VectorXd Design::rows_of(const BasisFunction& function) const {
   Eigen::VectorXd result(count_);
   Eigen::Index first = 0;
   const bool periodic = function.factor == Factor::Sine || function.factor == Factor::Cosine;
+  using Carrier = BasisFunction::Carrier;
   for (const DriveRows& run : data_.runs) {
+    if (function.factor == Factor::One && (function.carrier == Carrier::Acceleration || function.carrier == Carrier::Velocity)) {
+      result.segment(first, static_cast<Eigen::Index>(run.size())) = function.carrier == Carrier::Velocity ? run.velocity : run.acceleration;
+      first += static_cast<Eigen::Index>(run.size());
+      continue;
+    }
     const DriveMotion& motion = run.motion;
     std::vector<double> samples(motion.time_s.size()), columns;
     for (std::size_t i = 0; i < samples.size(); ++i) {

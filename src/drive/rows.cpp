@@ -12,6 +12,22 @@
 namespace clampd::drive {
 
 struct RowsBuilder {
+  /// Velocity and acceleration from the readings themselves.
+  template <class Derivatives>
+  static void set_motion(DriveRows& rows, const Run& run, const Derivatives& derivatives) {
+    const bool position = !run.position_rad.empty();
+    const std::span<const double> time_s(rows.motion.time_s), x(position ? run.position_rad : run.velocity_rad_s);
+    for (std::size_t r = 0; r < rows.rows_.size(); ++r) {
+      const DriveRows::Row& row = rows.rows_[r];
+      if (row.weights.size() < 4) continue;
+      const std::array<double, 2> both = derivatives(time_s, x, row.at_s, rows.filter_sd_s_, row.first, row.weights);
+      if (!std::isfinite(both[0]) || !std::isfinite(both[1])) continue;
+      const auto i = static_cast<Eigen::Index>(r);
+      if (position) rows.velocity[i] = both[0];
+      rows.acceleration[i] = position ? both[1] : both[0];
+    }
+    if (!position) rows.velocity = rows.filtered(run.velocity_rad_s);
+  }
   static void add(DriveRows& rows, double at_s, std::size_t first, std::vector<double> weights) {
     rows.rows_.push_back({at_s, first, std::move(weights)});
   }
@@ -30,9 +46,10 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr std::size_t kLeastSamples = 20;
 /// More rows than this tell a model of some twenty coefficients nothing new; the cut-off is lowered instead.
 constexpr double kMostRows = 40'000.0;
+constexpr double kHighestCutOff = 0.12;    ///< of the sampling rate: the filter is then a sample wide, and its derivatives are true
 constexpr double kRowsPerCutOff = 0.4;     ///< distance of rows at a cut-off of 1 Hz: neighbours correlate by a tenth
 constexpr double kSamplesPerRow = 12.0;    ///< more are averaged first
-constexpr double kAccelerationNoise = 0.01;  ///< most of the acceleration's variance; the inertia is biased by as much
+constexpr double kAccelerationNoise = 0.01;  ///< of the torque, root mean square, what the noise of the acceleration may make of it
 
 double quantile(std::vector<double> values, double share) {
   if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
@@ -167,7 +184,7 @@ double torque_bandwidth_Hz(const Run& run) {
   constexpr double kLostShare = 0.001;
   const std::span<const double> time_s(run.time_s);
   const std::size_t n = run.size();
-  const double highest_Hz = 0.2 / median_step(time_s);
+  const double highest_Hz = kHighestCutOff / median_step(time_s);
   const double mean = std::accumulate(run.torque_Nm.begin(), run.torque_Nm.end(), 0.0) / static_cast<double>(n);
   double power = 0.0;
   for (const double torque : run.torque_Nm) power += std::pow(torque - mean, 2);
@@ -232,10 +249,6 @@ Run averaged(const Run& run, std::size_t count) {
   return result;
 }
 
-struct MotionNoise {
-  double velocity = 0.0;  ///< after smoothing
-};
-
 DriveMotion motion_of(const Run& run, double cut_off_Hz, double& slow_speed) {
   // Narrower than the rows' filter, so that what little it attenuates is of no account there.
   const double half_width_s = std::max(1.0 / (5.0 * cut_off_Hz), 3.5 * median_step(run.time_s));
@@ -278,6 +291,22 @@ DriveMotion motion_of(const Run& run, double cut_off_Hz, double& slow_speed) {
     motion.travel.push_back(std::isnan(reversal) ? kInfinity : std::abs(motion.position[i] - reversal));
   }
   return motion;
+}
+
+/// Gaussian-filtered first and second derivative at a row, by a local polynomial of second degree under the row's own weights: where
+/// samples are even, exactly what the filter that the torque goes through makes of the true derivatives.
+std::array<double, 2> derivatives(std::span<const double> time_s, std::span<const double> x, double at_s, double sd_s, std::size_t first,
+                                  std::span<const double> weights) {
+  Eigen::Matrix3d gram = Eigen::Matrix3d::Zero();
+  Eigen::Vector3d right = Eigen::Vector3d::Zero();
+  for (std::size_t k = 0; k < weights.size(); ++k) {
+    const double u = (time_s[first + k] - at_s) / sd_s;
+    const Eigen::Vector3d powers(1.0, u, u * u);
+    gram.noalias() += weights[k] * powers * powers.transpose();
+    right += weights[k] * (x[first + k] - x[first]) * powers;
+  }
+  const Eigen::Vector3d coefficients = gram.inverse() * right;
+  return {coefficients[1] / sd_s, 2.0 * coefficients[2] / (sd_s * sd_s)};
 }
 
 void fill(DriveRows& rows) {
@@ -334,6 +363,7 @@ DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz, Dr
   }
   RowsBuilder::set_filter(rows, sd_s);
   fill(rows);
+  RowsBuilder::set_motion(rows, run, derivatives);
   return rows;
 }
 
@@ -364,11 +394,6 @@ double acceleration_noise(const Run& run, double cut_off_Hz) {
   if (!run.position_rad.empty())
     return white_noise(run.time_s, run.position_rad, 3) * std::sqrt(step_s * 3.0 / (8.0 * std::sqrt(M_PI)) / std::pow(sd_s, 5));
   return white_noise(run.time_s, run.velocity_rad_s, 2) * std::sqrt(step_s / (4.0 * std::sqrt(M_PI)) / std::pow(sd_s, 3));
-}
-
-double variance_of(const Eigen::VectorXd& values) {
-  if (values.size() < 2) return 0.0;
-  return (values.array() - values.mean()).square().sum() / static_cast<double>(values.size() - 1);
 }
 
 void add_notices(const DriveData& data, DriveData& to) {
@@ -414,7 +439,7 @@ DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const 
     const Run& run = runs[r];
     const double step_s = median_step(run.time_s);
     data.sample_s = r == 0 ? step_s : std::min(data.sample_s, step_s);
-    const double here_Hz = std::min(cut_off_Hz, 0.2 / step_s);
+    const double here_Hz = std::min(cut_off_Hz, kHighestCutOff / step_s);
     const auto together = static_cast<std::size_t>(std::max(1.0, kRowsPerCutOff / here_Hz / step_s / kSamplesPerRow));
     DriveRows rows = rows_of(averaged(run, together), model, here_Hz, data, seconds);
     rows.run = static_cast<int>(r);
@@ -433,24 +458,43 @@ DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const 
   return data;
 }
 
-/// Lowers the cut-off until the noise of the acceleration is no more than a hundredth of it, or nothing is gained.
+/// What the noise of the acceleration makes of the torque, root mean square over the torque's own: by a rough fit of inertia and friction.
+double torque_of_acceleration_noise(const DriveData& data) {
+  Eigen::Matrix4d gram = Eigen::Matrix4d::Zero();
+  Eigen::Vector4d right = Eigen::Vector4d::Zero();
+  double square = 0.0, count = 0.0, sum = 0.0;
+  for (const DriveRows& run : data.runs)
+    for (Eigen::Index i = 0; i < run.torque.size(); ++i) {
+      const Eigen::Vector4d columns(run.acceleration[i], run.velocity[i], run.direction[i], 1.0);
+      gram += columns * columns.transpose();
+      right += run.torque[i] * columns;
+      square += run.torque[i] * run.torque[i];
+      sum += run.torque[i];
+      count += 1.0;
+    }
+  if (count < 20.0) return kInfinity;
+  const double noise = std::pow(data.noise.acceleration, 2), measured = gram(0, 0) / count;
+  const Eigen::Vector4d scale = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
+  const Eigen::Matrix4d scaled = scale.asDiagonal() * gram * scale.asDiagonal() + 1e-9 * Eigen::Matrix4d::Identity();
+  const Eigen::Vector4d fitted = scale.asDiagonal() * (scaled.inverse() * (scale.asDiagonal() * right));
+  // Noise hides the inertia as it hides the acceleration.
+  const double hidden = std::max(0.1, 1.0 - noise / std::max(measured, 1e-300));
+  const double variation = std::sqrt(std::max(1e-300, square / count - std::pow(sum / count, 2)));
+  return std::abs(fitted[0]) / hidden * data.noise.acceleration / variation;
+}
+
+/// Lowers the cut-off until the noise of the acceleration is of no account in the torque, or nothing is gained.
 double cut_off_for_acceleration(std::span<const Run> runs, const DriveModel& model, double cut_off_Hz) {
   double longest_s = 0.0;
   for (const Run& run : runs) longest_s = std::max(longest_s, run.time_s.back() - run.time_s.front());
   double last_share = kInfinity;
-  for (int round = 0; round < 8; ++round) {
+  for (int round = 0; round < 12; ++round) {
     const DriveData data = prepare_at(runs, runs.size(), model, cut_off_Hz);
-    double square = 0.0, count = 0.0;
-    for (const DriveRows& run : data.runs) {
-      square += static_cast<double>(run.size()) * variance_of(run.acceleration);
-      count += static_cast<double>(run.size());
-    }
-    const double noise = std::pow(data.noise.acceleration, 2);
-    const double share = count > 0.0 ? noise / std::max(square / count - noise, 0.1 * noise) : kInfinity;
-    if (count > 0.0 && (share <= kAccelerationNoise || share > 0.9 * last_share)) break;
-    if (cut_off_Hz / 1.5 * longest_s < 40.0) break;
+    const double share = torque_of_acceleration_noise(data);
+    if (share <= kAccelerationNoise || (std::isfinite(share) && share > 0.95 * last_share)) break;
+    if (cut_off_Hz / 1.3 * longest_s < 40.0) break;
     last_share = share;
-    cut_off_Hz /= 1.5;
+    cut_off_Hz /= 1.3;
   }
   return cut_off_Hz;
 }
