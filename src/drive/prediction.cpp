@@ -61,9 +61,9 @@ std::vector<double> differences_of(const Run& run) {
 }
 
 /// One run under one model.
-class Simulation {
+class ForwardSimulation {
  public:
-  Simulation(const Run& run, const FittedDrive& drive, int number) : run_(run), drive_(drive) {
+  ForwardSimulation(const Run& run, const FittedDrive& drive, int number) : run_(run), drive_(drive) {
     state_.run = number;
     columns_.resize(drive.model.regressors.size());
     for (const DriveRegressor& regressor : drive.model.regressors)
@@ -175,7 +175,7 @@ std::vector<PredictedQuantity> recorded_quantities(const Run& run, const DriveMo
 /// From the first row to the end, or anew every `horizon_s`. Returns when it diverged; NaN: never.
 double simulate(const Run& run, const FittedDrive& drive, int number, double horizon_s,
                 std::vector<PredictedQuantity>& quantities) {
-  Simulation simulation(run, drive, number);
+  ForwardSimulation simulation(run, drive, number);
   // The model knows nothing faster than its cut-off, and the start need not either.
   const double half_width_s = std::isfinite(drive.cut_off_Hz) ? 0.2 / drive.cut_off_Hz : 0.0;
   Motion motion;
@@ -234,8 +234,10 @@ Result<std::vector<PredictedRun>> predict_drive(std::span<const Run> runs, const
   for (const Run& run : runs) {
     if (Result<void> checked = check(run, drive.model); !checked) return tl::unexpected(checked.error());
     const auto number = static_cast<int>(predicted.size());
-    PredictedRun result{
-        .name = run.name, .time_s = run.time_s, .quantities = recorded_quantities(run, drive.model)};
+    PredictedRun result;
+    result.name = run.name;
+    result.time_s = run.time_s;
+    result.quantities = recorded_quantities(run, drive.model);
     result.diverged_s =
         simulate(run, drive, number, std::numeric_limits<double>::infinity(), result.quantities);
     for (const double horizon_s : {0.1, 1.0}) {

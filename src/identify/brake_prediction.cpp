@@ -86,7 +86,9 @@ Result<std::vector<PredictedRun>> predict_brake(std::span<const Run> runs, const
     PredictedQuantity force{"force", "N", run.force_N, std::vector<double>(run.size(), kNone)};
     PredictedQuantity velocity{"velocity", "rad/s", run.velocity_rad_s,
                                std::vector<double>(run.size(), kNone)};
-    PredictedRun result{.name = runs[r].name, .time_s = run.time_s};
+    PredictedRun result;
+    result.name = runs[r].name;
+    result.time_s = run.time_s;
     ExtendedBrake::State state = initial_state(brake, run, runs[r]);
     for (std::size_t k = 0; k < run.size(); ++k) {
       if (!ExtendedBrake::is_bounded(state)) {

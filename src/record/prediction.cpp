@@ -7,7 +7,9 @@
 namespace clampd {
 
 PredictionError error_of(const PredictedQuantity& quantity) {
-  PredictionError error{.quantity = quantity.quantity, .unit = quantity.unit};
+  PredictionError error;
+  error.quantity = quantity.quantity;
+  error.unit = quantity.unit;
   double count = 0.0, mean = 0.0, variance = 0.0, square = 0.0;
   const auto counts = [&](std::size_t k) {
     return std::isfinite(quantity.measured[k]) && std::isfinite(quantity.predicted[k]);
