@@ -148,7 +148,9 @@ Result<std::string> prediction_html(std::span<const PredictedRun> runs, const st
   constexpr std::size_t kMostPictures = 6;
   for (std::size_t r = 0; r < std::min(runs.size(), kMostPictures); ++r) {
     page.section(runs[r].name);
-    if (Result<void> drawn = page.figure(figure_of(runs[r]), "Measured and predicted, and what is left of the measured."); !drawn)
+    if (Result<void> drawn =
+            page.figure(figure_of(runs[r]), "Measured and predicted, and what is left of the measured.");
+        !drawn)
       return tl::unexpected(drawn.error());
   }
   if (runs.size() > kMostPictures)
