@@ -64,7 +64,7 @@ class SpikeSearch {
       if (std::abs(x_[i] - x_[i - 1]) < least(i)) continue;
       for (std::size_t rows = 1; rows <= kLongest; ++rows) {
         const double size = spike_size(i, rows);
-        if (size == 0.0 || has_moved(i, rows)) continue;
+        if (size == 0.0 || has_moved(i, rows, std::abs(size))) continue;
         spikes.push_back({i, rows, size});
         i += rows;
         break;
@@ -75,6 +75,8 @@ class SpikeSearch {
 
  private:
   static constexpr std::size_t kMargin = 8;
+  static constexpr double kObvious =
+      10.0;  ///< as large as the whole range of the torque: wrong wherever it is
 
   /// Twelve median distances are eight standard deviations of normal noise: no chance in a million rows. A
   /// reading in steps may be off by some of them.
@@ -115,15 +117,16 @@ class SpikeSearch {
   }
 
   /// A pulse of torque that the motion answers is none of the logger's: the speed changes more than just
-  /// before.
-  bool has_moved(std::size_t first, std::size_t rows) const {
+  /// before. About standstill dry friction hides the answer, and those rows tell nothing anyway.
+  bool has_moved(std::size_t first, std::size_t rows, double size) const {
     if (velocity_.empty()) return false;
     const auto change = [&](std::size_t from, std::size_t to) {
       return std::abs(velocity_[to] - velocity_[from]);
     };
+    const double speed = std::min(std::abs(velocity_[first - 3]), std::abs(velocity_[first + rows + 2]));
     const double before = std::max(change(first - 6, first - 3), change(first - 5, first - 2));
     const double here = std::max(change(first - 2, first + rows + 1), change(first - 2, first + rows + 2));
-    return here > 3.0 * before + 6.0 * noise_;
+    return (speed < slow_ && size < kObvious * least_) || here > 3.0 * before + 6.0 * noise_;
   }
 
   std::span<const double> x_, velocity_;
@@ -135,6 +138,9 @@ class SpikeSearch {
       velocity_.empty()
           ? 0.0
           : 0.1 * (quantile({x_.begin(), x_.end()}, 0.99) - quantile({x_.begin(), x_.end()}, 0.01));
+  double slow_ = velocity_.empty() ? 0.0
+                                   : 0.03 * (quantile({velocity_.begin(), velocity_.end()}, 0.98) -
+                                             quantile({velocity_.begin(), velocity_.end()}, 0.02));
   double noise_ = velocity_.empty() ? 0.0 : noise_of(velocity_);
 };
 

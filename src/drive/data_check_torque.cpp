@@ -282,26 +282,29 @@ struct Limit {
   std::size_t rows = 0;
 };
 
-/// A level that many rows share at the extreme, where the reading hardly ever repeats itself elsewhere.
-std::optional<Limit> limit_of(std::span<const double> x, double level) {
-  const double tolerance = 1e-9 * std::abs(level);
-  Limit limit{level};
-  std::size_t repeats_there = 0, repeats_elsewhere = 0;
+/// The extremes that many rows share, where the reading hardly ever repeats itself elsewhere.
+std::vector<Limit> limits_of(std::span<const double> x) {
+  const auto [least, most] = std::ranges::minmax(x);
+  std::array<Limit, 2> limits{{{least}, {most}}};
+  std::array<std::size_t, 2> repeats{};
+  std::size_t elsewhere = 0, repeats_elsewhere = 0;
   for (std::size_t i = 0; i < x.size(); ++i) {
-    const bool there = std::abs(x[i] - level) <= tolerance;
-    limit.rows += there ? 1 : 0;
-    if (i == 0 || x[i] != x[i - 1]) continue;
-    ++(there ? repeats_there : repeats_elsewhere);
+    std::size_t which = 0;
+    while (which < 2 && std::abs(x[i] - limits[which].level) > 1e-9 * std::abs(limits[which].level)) ++which;
+    const bool repeated = i > 0 && x[i] == x[i - 1];
+    ++(which < 2 ? limits[which].rows : elsewhere);
+    if (repeated) ++(which < 2 ? repeats[which] : repeats_elsewhere);
   }
-  // At the limit the reading stays; elsewhere a reading that moves in steps, or is at rest, repeats itself as
-  // well.
-  constexpr std::size_t kFewest = 10;
-  const std::size_t elsewhere = x.size() - limit.rows;
-  const bool stays = 2 * repeats_there > limit.rows;
-  const bool rest_is_lively = 10 * repeats_elsewhere < elsewhere;
-  if (level == 0.0 || limit.rows < kFewest || 500 * limit.rows < x.size() || !stays || !rest_is_lively)
-    return std::nullopt;
-  return limit;
+  // A reading that moves in steps, or is at rest, repeats itself elsewhere as well; a lively one at a limit
+  // only.
+  constexpr std::size_t kFewest = 10, kLeastShare = 500;
+  std::vector<Limit> found;
+  if (10 * repeats_elsewhere >= elsewhere) return found;
+  for (std::size_t which = 0; which < 2; ++which)
+    if (limits[which].level != 0.0 && limits[which].rows >= kFewest &&
+        kLeastShare * limits[which].rows >= x.size() && 4 * repeats[which] > limits[which].rows)
+      found.push_back(limits[which]);
+  return found;
 }
 
 /// By how much the motion asks for more than the level, in the rows at it, as a share of it: by a balance
@@ -314,7 +317,9 @@ double asked_beyond(const Run& run, bool linear, double level) {
   std::vector<Eigen::Index> at_level;
   for (Eigen::Index i = 0; i < balance.columns.rows(); ++i) {
     const double torque = balance.motion.torque[static_cast<std::size_t>(i)];
-    if (std::abs(torque - level) < 1e-6 * std::abs(level)) {
+    const double reading =
+        interpolate(run.time_s, run.torque_Nm, balance.motion.time_s[static_cast<std::size_t>(i)]);
+    if (std::abs(reading - level) < 1e-6 * std::abs(level)) {
       at_level.push_back(i);
     } else if (std::abs(torque) < 0.95 * std::abs(level)) {
       sums.products += balance.columns.row(i).transpose() * balance.columns.row(i);
@@ -334,15 +339,12 @@ void check_clipping(RunCheck& check) {
   constexpr std::size_t kLeastRows = 100;
   const std::vector<double>& torque = check.run.torque_Nm;
   if (torque.size() < kLeastRows || check.model.torque_held) return;  // a command may well stay at its limit
-  const auto [least, most] = std::ranges::minmax(torque);
   std::size_t rows = 0;
   double level = 0.0, beyond = -1.0;
-  for (const double extreme : {least, most}) {
-    const std::optional<Limit> limit = limit_of(torque, extreme);
-    if (!limit) continue;
-    rows += limit->rows;
-    if (std::abs(extreme) > std::abs(level)) level = extreme;
-    beyond = std::max(beyond, asked_beyond(check.run, check.model.linear, extreme));
+  for (const Limit& limit : limits_of(torque)) {
+    rows += limit.rows;
+    if (std::abs(limit.level) > std::abs(level)) level = limit.level;
+    beyond = std::max(beyond, asked_beyond(check.run, check.model.linear, limit.level));
   }
   if (rows == 0) return;
   const std::string& column = check.model.columns.torque.column;

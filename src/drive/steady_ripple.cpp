@@ -13,7 +13,7 @@ namespace {
 constexpr int kHighestOrder = 32;
 constexpr std::size_t kMaxRippleOrders = 6;
 constexpr int kBlocks = 12;
-constexpr double kLeastShare = 0.02;
+constexpr double kLeastOrderShare = 0.02;
 
 struct SteadyRun {
   Eigen::VectorXd angle, torque;
@@ -58,14 +58,14 @@ Eigen::MatrixXd with_order(const SteadyRun& run, double order) {
   return columns;
 }
 
-struct Trial {
+struct OrderTrial {
   double significance_nats = 0.0;
   double gain = 0.0;
   double share = 0.0;
   bool holds = false;
 };
 
-std::optional<Trial> trial_of(const std::vector<SteadyRun>& runs, double order) {
+std::optional<OrderTrial> trial_of(const std::vector<SteadyRun>& runs, double order) {
   double log_p = 0.0, gain = 0.0, variance = 0.0, taken = 0.0, heldout_before = 0.0, heldout_after = 0.0;
   int resolved = 0;
   for (const SteadyRun& run : runs) {
@@ -87,7 +87,7 @@ std::optional<Trial> trial_of(const std::vector<SteadyRun>& runs, double order) 
   if (resolved < 3 || 2 * static_cast<std::size_t>(resolved) < runs.size()) return std::nullopt;
   // Fisher: of independent runs without this order, twice the sum is a chi-square of two each.
   const double p = statistics::chi_squared_p_value(2.0 * log_p, 2.0 * resolved);
-  return Trial{-std::log(std::max(1e-300, p)), gain, taken / variance,
+  return OrderTrial{-std::log(std::max(1e-300, p)), gain, taken / variance,
                heldout_after < (1.0 - 0.01) * heldout_before};
 }
 
@@ -136,11 +136,11 @@ SteadyRipple steady_ripple(std::span<const Run> runs, const DriveModel& model, d
   result.tested = true;
   std::vector<int> used;
   while (used.size() < kMaxRippleOrders) {
-    Trial best;
+    OrderTrial best;
     int at = 0;
     for (int order = 1; order <= kHighestOrder; ++order) {
       if (std::find(used.begin(), used.end(), order) != used.end()) continue;
-      const std::optional<Trial> trial = trial_of(steady, order);
+      const std::optional<OrderTrial> trial = trial_of(steady, order);
       if (trial && trial->gain > best.gain) {
         best = *trial;
         at = order;
@@ -148,7 +148,7 @@ SteadyRipple steady_ripple(std::span<const Run> runs, const DriveModel& model, d
     }
     const double significance_nats = best.significance_nats - std::log(tried);
     if (used.empty()) result.significance_nats = significance_nats;
-    if (at == 0 || significance_nats < alarm || !best.holds || best.share < kLeastShare) break;
+    if (at == 0 || significance_nats < alarm || !best.holds || best.share < kLeastOrderShare) break;
     used.push_back(at);
     result.gain += best.gain;
     result.orders.push_back(amplitudes(steady, at, best.share));

@@ -26,6 +26,7 @@ struct RecordedDrive {
   double velocity_noise = 0.0;
   int delay_rows = 0;            ///< of the controller
   double interval_jitter = 0.0;  ///< of the sampling itself, share of the period
+  double torque_limit = 1e9;     ///< of the drive, in units of the unit inertia's torque
   bool with_velocity = false;
   double bandwidth = 60.0;  ///< rad/s of the position control
 };
@@ -76,8 +77,9 @@ inline Run record(const RecordedDrive& drive, unsigned seed, const std::string& 
     filtered += std::min(1.0, 8.0 * wc * period_s) * ((measured - before) / period_s - filtered);
     before = measured;
     integral += (reference - measured) * period_s;
-    commands.push_back(wc * wc * (reference - measured) + 1.6 * wc * (rate - filtered) +
-                       0.3 * wc * wc * wc * integral);
+    commands.push_back(std::clamp(
+        wc * wc * (reference - measured) + 1.6 * wc * (rate - filtered) + 0.3 * wc * wc * wc * integral,
+        -drive.torque_limit, drive.torque_limit));
     commands.pop_front();
     run.time_s.push_back(t);
     run.torque_Nm.push_back(drive.inertia * drive.length *
