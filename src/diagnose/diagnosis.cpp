@@ -459,6 +459,18 @@ Diagnosis conclude(const Prepared& prepared, Found& found, const DiagnoseOptions
 
 }  // namespace
 
+std::string_view to_string(DataFinding::Severity severity) noexcept {
+  switch (severity) {
+    case DataFinding::Severity::Note:
+      return "note";
+    case DataFinding::Severity::Mended:
+      return "mended";
+    case DataFinding::Severity::Stop:
+      return "stop";
+  }
+  return "?";
+}
+
 std::string_view to_string(DiagnosisVerdict verdict) noexcept {
   switch (verdict) {
     case DiagnosisVerdict::Adequate:

@@ -23,7 +23,15 @@ struct Column {
   bool required;
   double scale = 1.0;
   double wrap = 0.0;
+  double offset = 0.0;
+  std::string_view minus = {};
+  int other = -1;  ///< index in Run::others instead of `values`
+  std::string_view label = {};  ///< its name there
 };
+
+std::vector<double>& values_of(Run& run, const Column& column) {
+  return column.other < 0 ? run.*column.values : run.others[static_cast<std::size_t>(column.other)].values;
+}
 
 constexpr std::array<Column, 6> kColumns{{
     {"time_s", &Run::time_s, true},
@@ -124,16 +132,60 @@ void unwrap(std::vector<double>& values, double wrap) {
   }
 }
 
-Result<LoadedRun> parse_columns(const std::string& text, const std::string& name,
-                                std::span<const Column> columns) {
+/// Where a column of a file goes: into its own quantity, and into those from which it is subtracted.
+struct Target {
+  std::vector<double>* values = nullptr;
+  std::vector<double>* subtracted = nullptr;
+};
+
+std::string ignored_columns(const std::string& name, const std::vector<Field>& header, const std::vector<Target>& targets, bool foreign,
+                            std::vector<std::string>& notices) {
+  std::string all;
+  for (std::size_t i = 0; i < header.size(); ++i) {
+    if (targets[i].values != nullptr || targets[i].subtracted != nullptr) continue;
+    if (!foreign)
+      notices.push_back(fmt::format("{}:1:{}: column \"{}\" is ignored", name, header[i].column, shown(header[i].text)));
+    all += fmt::format("{}\"{}\"", all.empty() ? "" : ", ", shown(header[i].text));
+  }
+  return all;
+}
+
+/// Unwraps, subtracts, scales and shifts what has been read.
+Result<void> convert(const Column& column, Run& run, std::vector<double>& subtracted, std::size_t header_lines) {
+  if (column.wrap == 0.0 && column.scale == 1.0 && column.offset == 0.0 && column.minus.empty()) return {};
+  std::vector<double>& values = values_of(run, column);
+  if (column.wrap > 0.0) unwrap(values, column.wrap);
+  for (std::size_t row = 0; row < values.size(); ++row) {
+    if (!subtracted.empty()) values[row] -= subtracted[row];
+    values[row] = values[row] * column.scale + column.offset;
+    // In other units a number may be too large, or two times the same.
+    if (!std::isfinite(values[row]))
+      return failure(fmt::format("{}:{}:1: {} is not a finite number in SI units", run.name, row + 1 + header_lines, column.name));
+    if (column.values == &Run::time_s && column.other < 0 && row > 0 && values[row] <= values[row - 1])
+      return failure(fmt::format("{}:{}:1: {} does not increase in SI units", run.name, row + 1 + header_lines, column.name));
+  }
+  return {};
+}
+
+/// `foreign`: a file of somebody else's, which may begin with lines of its own and has comments.
+Result<LoadedRun> parse_columns(const std::string& text, const std::string& name, std::span<const Column> columns,
+                                bool foreign = false, int skip_lines = 0) {
   LineReader lines(text);
   std::string_view line;
-  if (!lines.next(line)) {
+  const auto next = [&] {
+    while (lines.next(line))
+      if (!foreign || !trim(line).starts_with('#')) return true;
+    return false;
+  };
+  while (skip_lines-- > 0 && lines.next(line)) {
+  }
+  if (!next()) {
     std::string expected;
     for (const Column& column : columns)
       if (column.required) expected += (expected.empty() ? "" : ",") + std::string(column.name);
     return failure(fmt::format("{}:1:1: the file is empty; expected a header with {}", name, expected));
   }
+  const std::size_t header_lines = lines.number();
   const auto at = [&](std::size_t column, std::string_view message) {
     return failure(fmt::format("{}:{}:{}: {}", name, lines.number(), column, message));
   };
@@ -145,79 +197,91 @@ Result<LoadedRun> parse_columns(const std::string& text, const std::string& name
 
   LoadedRun loaded;
   loaded.run.name = name;
-  std::vector<std::vector<double>*> targets(header.size(), nullptr);
-  for (const Column& column : columns) {
+  for (const Column& column : columns)
+    if (column.other >= 0) loaded.run.others.push_back({std::string(column.name), {}});
+  std::vector<Target> targets(header.size());
+  std::vector<std::vector<double>> subtracted(columns.size());
+  const auto find = [&](std::string_view wanted) -> Result<std::size_t> {
     std::size_t found = header.size();
     for (std::size_t i = 0; i < header.size(); ++i) {
-      if (header[i].text != column.name) continue;
-      if (found != header.size())
-        return at(header[i].column, fmt::format("column {} appears twice", column.name));
+      if (header[i].text != wanted) continue;
+      if (found != header.size()) return at(header[i].column, fmt::format("column {} appears twice", wanted));
       found = i;
     }
-    if (found != header.size()) {
-      targets[found] = &(loaded.run.*column.values);
-    } else if (column.required) {
-      return at(1, fmt::format("column {} is missing; the header is \"{}\"", column.name, shown(trim(line))));
+    return found;
+  };
+  for (std::size_t c = 0; c < columns.size(); ++c) {
+    const Column& column = columns[c];
+    for (const bool minus : {false, true}) {
+      const std::string_view wanted = minus ? column.minus : column.name;
+      if (minus && wanted.empty()) continue;
+      const Result<std::size_t> found = find(wanted);
+      if (!found) return tl::unexpected(found.error());
+      if (*found != header.size()) {
+        std::vector<double>*& target = minus ? targets[*found].subtracted : targets[*found].values;
+        if (target != nullptr) return at(header[*found].column, fmt::format("column {} is used twice", wanted));
+        target = minus ? &subtracted[c] : &values_of(loaded.run, column);
+      } else if (column.required) {
+        return at(1, fmt::format("column {} is missing; the header is \"{}\"", wanted, shown(trim(line))));
+      }
     }
   }
-  for (std::size_t i = 0; i < header.size(); ++i)
-    if (targets[i] == nullptr)
-      loaded.notices.push_back(
-          fmt::format("{}:1:{}: column \"{}\" is ignored", name, header[i].column, shown(header[i].text)));
+  const std::string ignored = ignored_columns(name, header, targets, foreign, loaded.notices);
+  if (foreign && !ignored.empty())
+    loaded.notices.push_back(fmt::format("{}: column{} {} ignored", name, ignored.find(", ") == std::string::npos ? "" : "s",
+                                         ignored + (ignored.find(", ") == std::string::npos ? " is" : " are")));
 
   std::vector<Field> fields;
   fields.reserve(header.size());
-  while (lines.next(line)) {
+  while (next()) {
     if (trim(line).empty()) return at(1, "an empty line between rows");
     split(line, fields);
     if (fields.size() != header.size())
       return at(fields.size() > header.size() ? fields[header.size()].column : line.size() + 1,
                 fmt::format("the row has {} fields, the header {}", fields.size(), header.size()));
     for (std::size_t i = 0; i < fields.size(); ++i) {
-      if (targets[i] == nullptr) continue;
+      const Target& target = targets[i];
+      if (target.values == nullptr && target.subtracted == nullptr) continue;
       const std::optional<double> value = parse_number(fields[i].text);
       if (!value)
         return at(fields[i].column,
                   fmt::format("{} is not a finite number: \"{}\"", header[i].text, shown(fields[i].text)));
-      if (targets[i] == &loaded.run.time_s && !loaded.run.time_s.empty() &&
-          *value <= loaded.run.time_s.back())
+      if (target.values == &loaded.run.time_s && !loaded.run.time_s.empty() && *value <= loaded.run.time_s.back())
         return at(fields[i].column, fmt::format("{} does not increase: {} after {}", header[i].text, *value,
                                                 loaded.run.time_s.back()));
-      if (targets[i] == &loaded.run.drive_enabled && *value != 0.0 && *value != 1.0)
+      if (target.values == &loaded.run.drive_enabled && *value != 0.0 && *value != 1.0)
         return at(fields[i].column, fmt::format("{} is {}; it must be 1, or 0 where the drive was off",
                                                 header[i].text, *value));
-      targets[i]->push_back(*value);
+      if (target.values != nullptr) target.values->push_back(*value);
+      if (target.subtracted != nullptr) target.subtracted->push_back(*value);
     }
   }
   if (loaded.run.size() == 0)
     return failure(fmt::format("{}:{}:1: the file has a header and no rows", name, lines.number() + 1));
-  for (const Column& column : columns) {
-    if (column.wrap == 0.0 && column.scale == 1.0) continue;
-    std::vector<double>& values = loaded.run.*column.values;
-    if (column.wrap > 0.0) unwrap(values, column.wrap);
-    for (double& value : values) value *= column.scale;
-    // In other units a number may be too large, or two times the same.
-    for (std::size_t row = 0; row < values.size(); ++row) {
-      if (!std::isfinite(values[row]))
-        return failure(
-            fmt::format("{}:{}:1: {} is not a finite number in SI units", name, row + 2, column.name));
-      if (column.values == &Run::time_s && row > 0 && values[row] <= values[row - 1])
-        return failure(fmt::format("{}:{}:1: {} does not increase in SI units", name, row + 2, column.name));
-    }
-  }
+  for (std::size_t c = 0; c < columns.size(); ++c)
+    if (const Result<void> converted = convert(columns[c], loaded.run, subtracted[c], header_lines); !converted)
+      return tl::unexpected(converted.error());
+  for (std::size_t c = 0; c < columns.size(); ++c)  // by the names that the map gives them
+    if (columns[c].other >= 0) loaded.run.others[static_cast<std::size_t>(columns[c].other)].name = columns[c].label;
   return loaded;
 }
 
 std::vector<Column> columns_of(const ColumnMap& map) {
   std::vector<Column> columns;
   const auto add = [&](const ColumnSource& source, std::vector<double> Run::*values) {
-    columns.push_back({source.column, values, true, source.scale, source.wrap});
+    columns.push_back({source.column, values, true, source.scale, source.wrap, source.offset, source.minus});
   };
   add(map.time, &Run::time_s);
   add(map.torque, &Run::torque_Nm);
   if (map.velocity) add(*map.velocity, &Run::velocity_rad_s);
   if (map.position) add(*map.position, &Run::position_rad);
   if (map.force) add(*map.force, &Run::force_N);
+  if (map.drive_enabled) add(*map.drive_enabled, &Run::drive_enabled);
+  for (std::size_t i = 0; i < map.others.size(); ++i) {
+    add(map.others[i].second, nullptr);
+    columns.back().other = static_cast<int>(i);
+    columns.back().label = map.others[i].first;
+  }
   return columns;
 }
 
@@ -274,7 +338,7 @@ Result<LoadedRun> parse_run(const std::string& text, const std::string& name) {
 }
 
 Result<LoadedRun> parse_run(const std::string& text, const std::string& name, const ColumnMap& columns) {
-  return parse_columns(text, name, columns_of(columns));
+  return parse_columns(text, name, columns_of(columns), true, columns.skip_lines);
 }
 
 Result<LoadedRun> read_run(const std::string& path) {

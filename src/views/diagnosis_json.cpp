@@ -111,6 +111,24 @@ ordered_json torque_while_off_json(const std::optional<TorqueWhileOff>& torque) 
   return {{"mean_Nm", torque->mean_Nm}, {"sd_Nm", torque->sd_Nm}, {"rows", torque->rows}};
 }
 
+ordered_json rows_json(const RowCount& rows) {
+  return {{"read", rows.read},
+          {"used", rows.used},
+          {"left_out", list_of(rows.left_out, [](const RowCount::LeftOut& left) -> ordered_json {
+             return {{"reason", left.reason}, {"rows", left.rows}};
+           })}};
+}
+
+ordered_json finding_json(const DataFinding& finding) {
+  return {{"name", finding.name},
+          {"column", finding.column},
+          {"run", finding.run},
+          {"size", number_or_null(finding.size)},
+          {"unit", finding.unit},
+          {"severity", to_string(finding.severity)},
+          {"words", finding.words}};
+}
+
 /// Null everywhere if nothing was held out, so that a reader finds the same keys in every document.
 ordered_json gain_json(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   const std::optional<HeldOutGain>& gain = diagnosis.gain;
@@ -161,6 +179,10 @@ ordered_json diagnosis_json(const Diagnosis& diagnosis, const DiagnosisSubject& 
                                                  {"after", noise_json(diagnosis.noise_after)}}},
           {"ladder", ladder_json(diagnosis.candidates)},
           {"alarm_evidence", number_or_null(diagnosis.alarm_evidence)},
+          {"share_left", number_or_null(diagnosis.share_left)},
+          {"share_explainable", number_or_null(diagnosis.share_explainable)},
+          {"rows", rows_json(diagnosis.rows)},
+          {"data", list_of(diagnosis.data, finding_json)},
           {"notices", diagnosis.notices},
           {"wall_s", diagnosis.wall_s}};
 }

@@ -12,6 +12,8 @@
 
 #include <fmt/format.h>
 
+#include "src/views/drive_pictures.hpp"
+
 namespace clampd::pictures {
 namespace {
 
@@ -188,6 +190,16 @@ std::vector<Against> variables_of(const DiagnosisSubject& subject) {
           {"time (s)", 1.0, [](const RunView& view) -> const std::vector<double>& { return view.time_s; }}};
 }
 
+/// Of a drive, also over its load: what friction or a torque constant does that depends on it.
+std::vector<Against> variables_of(const DiagnosisSubject& subject, const EffortScale& scale) {
+  std::vector<Against> variables = variables_of(subject);
+  if (!subject.drive) return variables;
+  std::erase_if(variables, [](const Against& each) { return each.label.starts_with("clamp force"); });
+  variables.push_back({fmt::format("{} ({})", subject.effort(), scale.unit), scale.factor,
+                       [](const RunView& view) -> const std::vector<double>& { return view.torque_Nm; }});
+  return variables;
+}
+
 struct ResidualOf {
   std::string name;
   std::string label;  ///< with its unit
@@ -208,18 +220,24 @@ std::vector<ResidualOf> reading_residuals() {
   };
 }
 
-/// A small torque reads better in thousandths.
-double effort_factor(const DiagnosisSubject& subject) {
-  return subject.torque_unit == "N" ? 1.0 : 1e3;
+/// In which the drive's residuals are easily read.
+EffortScale residual_scale(std::span<const RunView> views, const DiagnosisSubject& subject) {
+  double square = 0.0, count = 0.0;
+  for (const RunView& view : views)
+    for (const double value : view.disturbance_before_Nm)
+      if (std::isfinite(value)) square += value * value, count += 1.0;
+  constexpr double kPeak = 3.0;  // of a root mean square
+  return effort_scale(count > 0.0 ? kPeak * std::sqrt(square / count) : 0.0, subject);
 }
 
-std::string effort_label(const char* quantity, const DiagnosisSubject& subject) {
-  return fmt::format("{} ({}{})", quantity, subject.torque_unit == "N" ? "" : "m", subject.torque_unit);
+std::string effort_label(std::string_view quantity, const EffortScale& scale) {
+  return fmt::format("{} ({})", quantity, scale.unit);
 }
 
-std::vector<ResidualOf> residuals_of(const DiagnosisSubject& subject) {
+std::vector<ResidualOf> residuals_of(std::span<const RunView> views, const DiagnosisSubject& subject) {
   if (!subject.drive) return reading_residuals();
-  return {{"error", effort_label("error", subject), effort_factor(subject), false,
+  const EffortScale scale = residual_scale(views, subject);
+  return {{"error", effort_label("left", scale), scale.factor, false,
            [](const RunView& view) -> const std::vector<double>& { return view.disturbance_before_Nm; },
            [](const RunView& view) -> const std::vector<double>& { return view.disturbance_after_Nm; }}};
 }
@@ -493,8 +511,11 @@ std::optional<Figure> run_picture(const RunView& view, bool extended) {
 std::optional<Figure> dependence_picture(std::span<const RunView> views, bool extended,
                                          const DiagnosisSubject& subject) {
   Figure figure{.columns = 2, .width_px = 1000, .panel_height_px = 205};
-  const std::vector<ResidualOf> residuals = residuals_of(subject);
-  for (const Against& against : variables_of(subject)) {
+  const std::vector<ResidualOf> residuals = residuals_of(views, subject);
+  double largest = 0.0;
+  for (const RunView& view : views)
+    for (const double torque : view.torque_Nm) largest = std::max(largest, std::abs(torque));
+  for (const Against& against : variables_of(subject, effort_scale(largest, subject))) {
     const bool labelled = figure.panels.empty();
     for (const ResidualOf& residual : residuals)
       if (std::optional<Panel> panel = against_panel(views, residual, against, extended, labelled))
@@ -538,7 +559,8 @@ std::optional<Figure> residual_spectra_picture(std::span<const RunView> views, b
 
 std::optional<Figure> disturbance_picture(std::span<const RunView> views, bool extended,
                                           const DiagnosisSubject& subject) {
-  const double factor = effort_factor(subject);
+  const EffortScale scale = residual_scale(views, subject);
+  const double factor = scale.factor;
   struct Model {
     std::vector<double> RunView::*torque_Nm;
     const char* label;
@@ -549,10 +571,10 @@ std::optional<Figure> disturbance_picture(std::span<const RunView> views, bool e
 
   const bool rotary = subject.position_unit == "rad";
   Panel position{.x = {.label = fmt::format("position ({})", subject.position_unit)},
-                 .y = {.label = effort_label(subject.effort().c_str(), subject)}};
+                 .y = {.label = effort_label(subject.effort(), scale)}};
   Panel angle{.x = {.label = "periods in a revolution of the motor"},
-              .y = {.label = effort_label("amplitude", subject)}};
-  Panel time{.x = {.label = "frequency (Hz)"}, .y = {.label = effort_label("amplitude", subject)}};
+              .y = {.label = effort_label("amplitude", scale)}};
+  Panel time{.x = {.label = "frequency (Hz)"}, .y = {.label = effort_label("amplitude", scale)}};
   const std::vector<double> frequency_Hz = frequencies(views);
   for (const Model& model : models) {
     Pooled pooled;

@@ -13,6 +13,7 @@
 #include "clampd/views/diagnosis_pictures.hpp"
 #include "clampd/views/diagnosis_words.hpp"
 #include "clampd/views/page.hpp"
+#include "src/views/drive_pictures.hpp"
 
 namespace clampd {
 namespace {
@@ -77,18 +78,16 @@ std::string gain_in_words(const Diagnosis& diagnosis, const DiagnosisSubject& su
   const GainFigures& before = diagnosis.gain->before;
   const GainFigures& after = diagnosis.gain->after;
   std::vector<std::string> changes;
-  const auto add = [&](const std::string& what, double GainFigures::*figure, int decimals,
-                       const std::string& unit) {
+  const auto add = [&](const std::string& what, double GainFigures::*figure, const std::string& unit) {
     if (before.*figure > 0.0 && after.*figure > 0.0)
-      changes.push_back(fmt::format("{} goes from {:.{}f} to {:.{}f} {}", what, before.*figure, decimals,
-                                    after.*figure, decimals, unit));
+      changes.push_back(fmt::format("{} goes from {:.3g} to {:.3g} {}", what, before.*figure, after.*figure, unit));
   };
   if (subject.drive) {
     add(fmt::format("the error of the {} that the motion needs", subject.effort()),
-        &GainFigures::rms_torque_Nm, 4, subject.torque_unit + " rms");
+        &GainFigures::rms_torque_Nm, subject.torque_unit + " rms");
   } else {
-    add("the error of the force predicted one sample ahead", &GainFigures::rms_force_N, 1, "N rms");
-    add("that of the velocity", &GainFigures::rms_velocity_rad_s, 3, "rad/s rms");
+    add("the error of the force predicted one sample ahead", &GainFigures::rms_force_N, "N rms");
+    add("that of the velocity", &GainFigures::rms_velocity_rad_s, "rad/s rms");
   }
   return fmt::format("On {}, {}.", words::heldout_runs(*diagnosis.gain), words::enumeration(changes, "and"));
 }
@@ -189,6 +188,29 @@ Result<void> add_runs(Page& page, const Diagnosis& diagnosis) {
   return {};
 }
 
+/// Of a drive first of all: the torque, measured and modelled, and the friction curve.
+Result<void> add_drive(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
+  constexpr std::size_t kMostRuns = 3;
+  std::size_t shown = 0;
+  for (const RunView& view : diagnosis.views) {
+    const std::optional<Figure> picture = pictures::modelled_torque_picture(view, is_extended(diagnosis), subject);
+    if (!picture) continue;
+    if (++shown > kMostRuns) break;
+    if (shown == 1) page.section(fmt::format("Measured and modelled {}", subject.effort()));
+    const std::string caption =
+        fmt::format("{}: the recorded {} and what the model needs for the recorded motion{}, without the rows near standstill; below, what is left.",
+                    view.name, subject.effort(), is_extended(diagnosis) ? " with the named effects" : "");
+    if (auto drawn = page.figure(*picture, caption); !drawn) return drawn;
+  }
+  const std::optional<Figure> friction = pictures::friction_curve_picture(diagnosis.views, subject);
+  if (!friction) return {};
+  page.section("The friction curve");
+  return page.figure(*friction,
+                     fmt::format("The {} over speed where the drive hardly accelerates, forward and backward: means of equally many rows, and the "
+                                 "model at the same rows. Gravity and other loads are in both; they widen the cloud of rows.",
+                                 subject.effort()));
+}
+
 Result<void> add_dependence(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   const Misfit& misfit = diagnosis.misfit;
   const std::optional<Figure> means =
@@ -207,7 +229,7 @@ Result<void> add_dependence(Page& page, const Diagnosis& diagnosis, const Diagno
     page.table(table);
   }
   const char* const caption =
-      subject.drive ? "Mean of what the model lacks, over position, velocity, time and run."
+      subject.drive ? "Mean of what is left, over position, velocity, time, load and run."
                     : "Mean error of the prediction one sample ahead, in standard deviations of one reading, "
                       "over position, "
                       "velocity and so on. A model that is right stays in the grey band 19 times out of 20.";
@@ -442,6 +464,8 @@ void add_method(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
 Result<std::string> diagnosis_html(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   Page page("Diagnosis: " + words::headline(diagnosis), diagnosis.summary);
   add_result(page, diagnosis, subject);
+  if (subject.drive)
+    if (auto drawn = add_drive(page, diagnosis, subject); !drawn) return tl::unexpected(drawn.error());
   add_effects(page, diagnosis);
   if (auto drawn = add_runs(page, diagnosis); !drawn) return tl::unexpected(drawn.error());
   if (auto drawn = add_dependence(page, diagnosis, subject); !drawn) return tl::unexpected(drawn.error());

@@ -130,6 +130,17 @@ void add_parameters(Text& text, const Diagnosis& diagnosis) {
   }
 }
 
+/// Of bare drives: what the readings themselves show, and the rows that counted.
+void add_data(Text& text, const Diagnosis& diagnosis) {
+  if (diagnosis.rows.read == 0) return;
+  text.heading("Data");
+  text.add("  {} of {} rows used", diagnosis.rows.used, diagnosis.rows.read);
+  for (const RowCount::LeftOut& left : diagnosis.rows.left_out) text.add("; {}: {}", left.reason, left.rows);
+  text.add("\n");
+  for (const DataFinding& finding : diagnosis.data)
+    text.add("  {}{}: {}\n", finding.severity == DataFinding::Severity::Mended ? "mended, " : "", finding.name, finding.words);
+}
+
 /// Effects with the same reason share a line.
 void add_unseen(Text& text, const Diagnosis& diagnosis) {
   if (diagnosis.unseen.empty()) return;
@@ -151,6 +162,7 @@ std::string diagnosis_text(const Diagnosis& diagnosis, const DiagnosisSubject& s
   add_misfit(text, diagnosis);
   add_gain(text, diagnosis, subject);
   add_parameters(text, diagnosis);
+  add_data(text, diagnosis);
   add_unseen(text, diagnosis);
   if (!diagnosis.notices.empty()) text.heading("To be noted");
   for (const std::string& notice : diagnosis.notices) text.add("  {}\n", notice);

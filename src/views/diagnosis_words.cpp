@@ -252,15 +252,16 @@ std::vector<GainRow> gain_rows(const Diagnosis& diagnosis, const DiagnosisSubjec
       return std::isfinite(value) ? fmt::format("{:.{}f}", value, count) : std::string("-");
     };
   };
+  // Drives are of any size: digits that count, not decimals.
+  const auto digits = [](double value) { return std::isfinite(value) ? fmt::format("{:.3g}", value) : std::string("-"); };
   add("force, one sample ahead (N rms)", &GainFigures::rms_force_N, decimals(1), true);
   add("velocity, one sample ahead (rad/s rms)", &GainFigures::rms_velocity_rad_s, decimals(3), true);
   add("force, simulated with the torque errors (N rms)", &GainFigures::simulated_rms_force_N, decimals(1),
       true);
   add("velocity, the same (rad/s rms)", &GainFigures::simulated_rms_velocity_rad_s, decimals(3), true);
   add(fmt::format("{} that the motion needs ({} rms)", subject.effort(), subject.torque_unit),
-      &GainFigures::rms_torque_Nm, decimals(4), true);
-  add(fmt::format("the same, of the {}'s own rms", subject.effort()), &GainFigures::torque_error_relative,
-      decimals(4), true);
+      &GainFigures::rms_torque_Nm, digits, true);
+  add(fmt::format("the same, of the {}'s own rms", subject.effort()), &GainFigures::torque_error_relative, digits, true);
   add("misfit (1: the noise floor)", &GainFigures::misfit, decimals(3), true);
   add("log likelihood per sample (nats)", &GainFigures::log_likelihood_per_sample, decimals(3), false);
   add(

@@ -214,6 +214,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"identify", {"brake", "parameters", "record", "statistics", "base"}},
       {"experiment", {"control", "identify", "brake", "parameters", "record", "statistics", "base"}},
       {"diagnose", {"experiment", "identify", "brake", "parameters", "record", "statistics", "base"}},
+      {"drive", {"diagnose", "statistics", "record", "base"}},
       {"station", {"diagnose", "identify", "brake", "parameters", "ports", "record", "base"}},
       {"archive", {"record", "base"}},
       {"publish", {"archive", "record", "base"}},
@@ -237,7 +238,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"tools/clampd", {"tools/dashboard", "tools/cli", "daemon", "api", "bench", "drivers/gpio", "base"}},
       {"tools/clampctl",
        {"tools/reproduce", "tools/cli", "api", "bench", "simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "views", "line",
-        "archive", "station", "diagnose", "experiment", "identify", "brake", "parameters", "record", "base"}},
+        "archive", "station", "drive", "diagnose", "experiment", "identify", "brake", "parameters", "record", "base"}},
   };
   return kArrows;
 }

@@ -7,7 +7,7 @@
 
 #include "clampd/base/assert.hpp"
 #include "clampd/brake/extended_brake.hpp"
-#include "clampd/diagnose/drive_model.hpp"
+#include "clampd/drive/model.hpp"
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"
 #include "drivers/sim/plant_configuration.hpp"

@@ -8,9 +8,9 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/diagnose/diagnosis.hpp"
-#include "clampd/diagnose/drive_diagnosis.hpp"
-#include "clampd/diagnose/drive_model.hpp"
 #include "clampd/diagnose/settle.hpp"
+#include "clampd/drive/diagnosis.hpp"
+#include "clampd/drive/model.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
 #include "clampd/views/diagnosis_json.hpp"
@@ -55,12 +55,8 @@ Result<void> check_outputs(const DiagnoseCommand& command) {
   for (const std::string& held : command.heldout)
     if (std::find(command.files.begin(), command.files.end(), held) != command.files.end())
       return failure(fmt::format("{} cannot be fitted and held out; name it once", held));
-  if (!command.model.empty())
-    for (const auto& [option, path] :
-         {std::pair{"--parameters", &command.parameters}, std::pair{"--save", &command.save},
-          std::pair{"--next", &command.next}})
-      if (!path->empty())
-        return failure(fmt::format("{} is for brakes: a model file describes a bare drive", option));
+  if (!command.model.empty() && !command.parameters.empty())
+    return failure("--parameters is for brakes: a model file describes a bare drive");
   if (!command.report.empty()) return report::can_draw();
   return {};
 }
@@ -86,7 +82,7 @@ DiagnosisSubject subject_of(std::size_t runs, const std::optional<DriveModel>& d
 }
 
 Result<void> write_outputs(const DiagnoseCommand& command, const Diagnosis& diagnosis,
-                           const DiagnosisSubject& subject) {
+                           const DiagnosisSubject& subject, const std::string& model) {
   if (!command.report.empty()) {
     const Result<std::string> html = diagnosis_html(diagnosis, subject);
     if (!html) return tl::unexpected(html.error());
@@ -94,7 +90,7 @@ Result<void> write_outputs(const DiagnoseCommand& command, const Diagnosis& diag
   }
   if (!command.save.empty())
     if (Result<void> written =
-            write_file_atomically(command.save, format_extended_parameters(diagnosis.model));
+            write_file_atomically(command.save, model);
         !written)
       return written;
   if (!command.next.empty()) {
@@ -134,7 +130,16 @@ int diagnose_files(const DiagnoseCommand& command) {
   options.progress = [&progress](double fraction, const std::string& stage) {
     progress.show(fraction, stage);
   };
-  Result<Diagnosis> diagnosis = drive ? diagnose_drive(*runs, *drive, options) : diagnose(*runs, options);
+  std::string model;  // as --save writes it
+  Result<Diagnosis> diagnosis;
+  if (drive) {
+    Result<DriveDiagnosis> of_drive = diagnose_drive(*runs, *drive, options);
+    if (of_drive) model = format_fitted_drive(of_drive->fitted);
+    diagnosis = std::move(of_drive);
+  } else {
+    diagnosis = diagnose(*runs, options);
+    if (diagnosis) model = format_extended_parameters(diagnosis->model);
+  }
   if (!diagnosis) {
     progress.clear();
     return cli::refuse(diagnosis.error());
@@ -151,7 +156,7 @@ int diagnose_files(const DiagnoseCommand& command) {
     fmt::print("{}", diagnosis_text(*diagnosis, subject, cli::colours_wanted()));
     fmt::print("\n{} run{}, {:.1f} s\n", runs->size(), runs->size() == 1 ? "" : "s", diagnosis->wall_s);
   }
-  if (const Result<void> written = write_outputs(command, *diagnosis, subject); !written)
+  if (const Result<void> written = write_outputs(command, *diagnosis, subject, model); !written)
     return cli::refuse(written.error());
   return cli::kSuccess;
 }
@@ -167,7 +172,7 @@ void add_diagnose_command(CLI::App& app, int& exit_code) {
       ->type_name("RUN.csv");
   command
       ->add_option("--holdout", options->heldout,
-                   "runs that the models are judged by and never fitted to (default: every third run)")
+                   "runs that the models are judged by and never fitted to (default: every third run; of a drive, each fifth of the rows in turn)")
       ->type_name("RUN.csv");
   command
       ->add_option("--model", options->model,

@@ -136,6 +136,29 @@ struct NextExperiment {
   double expected_evidence_nats = 0.0;  ///< of all repeats, between the two rivals hardest to tell apart
 };
 
+/// What was found about the data before any model.
+struct DataFinding {
+  enum class Severity { Note, Mended, Stop };
+  std::string name;    ///< "velocity-scale", "held-readings", ...: those of `diagnose --json`
+  std::string column;  ///< as the file calls it; empty: none of its own
+  std::string run;     ///< name of the first run in which it is found
+  double size = std::numeric_limits<double>::quiet_NaN();
+  std::string unit;  ///< of the size
+  Severity severity = Severity::Note;
+  std::string words;  ///< what, where, how much, what to do
+};
+std::string_view to_string(DataFinding::Severity severity) noexcept;  ///< "note", "mended", "stop"
+
+/// Rows of the files, and why some were not used.
+struct RowCount {
+  std::size_t read = 0, used = 0;
+  struct LeftOut {
+    std::string reason;
+    std::size_t rows = 0;
+  };
+  std::vector<LeftOut> left_out;
+};
+
 struct Diagnosis {
   DiagnosisVerdict verdict = DiagnosisVerdict::Adequate;
   std::string summary;  ///< one sentence for a technician
@@ -162,6 +185,12 @@ struct Diagnosis {
   std::optional<NextExperiment> next_experiment;   ///< left empty by diagnose(): experiment designs it
   std::vector<std::string> notices;                ///< what these data could not show, what was left out
   std::vector<RunView> views;                      ///< if asked for
+  std::vector<DataFinding> data;                   ///< of bare drives
+  RowCount rows;                                   ///< of bare drives
+  /// Of bare drives: what is left of the torque's variation, rms over rms, on rows that were not fitted. NaN: unknown.
+  double share_left = std::numeric_limits<double>::quiet_NaN();
+  /// Of its square, what any function of the recorded columns could take, held out. NaN: unknown.
+  double share_explainable = std::numeric_limits<double>::quiet_NaN();
   double wall_s = 0.0;
 };
 

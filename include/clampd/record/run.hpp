@@ -4,11 +4,18 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "clampd/base/result.hpp"
 
 namespace clampd {
+
+/// A further column of a run, in the units that its map gives it.
+struct RunColumn {
+  std::string name;
+  std::vector<double> values;
+};
 
 /// One recorded run: contiguous arrays of equal length n, SI units.
 /// Row k holds the readings at time_s[k]; torque_Nm[k] acts from there until the next row.
@@ -21,6 +28,7 @@ struct Run {
   std::vector<double> position_rad;  ///< empty where the rig has no position reading
   /// 1, or 0 in rows in which the drive was off: no torque acted, whatever its reading. Empty: on throughout.
   std::vector<double> drive_enabled;
+  std::vector<RunColumn> others;  ///< of a foreign file, those that its ColumnMap names
 
   std::size_t size() const { return time_s.size(); }
 };
@@ -67,6 +75,8 @@ struct ColumnSource {
   std::string column;
   double scale = 1.0;  ///< reading times scale is in SI units
   double wrap = 0.0;   ///< the reading starts again at zero after this many units; 0: never
+  double offset = 0.0;  ///< in SI units, added after scaling
+  std::string minus = {};  ///< another column, in the same units, that is subtracted from it
 };
 
 /// The columns of a foreign file. What is absent leaves its array in the run empty.
@@ -76,6 +86,10 @@ struct ColumnMap {
   std::optional<ColumnSource> velocity;
   std::optional<ColumnSource> position;
   std::optional<ColumnSource> force;
+  std::optional<ColumnSource> drive_enabled;
+  /// Further ones, by the names that they have in Run::others.
+  std::vector<std::pair<std::string, ColumnSource>> others;
+  int skip_lines = 0;  ///< before the header
 };
 
 /// As read_run() without a map, errors included.

@@ -1,0 +1,444 @@
+#include "clampd/drive/diagnosis.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <set>
+
+#include <fmt/format.h>
+
+#include "clampd/base/nan.hpp"
+#include "clampd/drive/data_check.hpp"
+#include "src/drive/next_motion.hpp"
+#include "src/drive/parameters.hpp"
+#include "src/drive/remainder.hpp"
+#include "src/drive/steady_ripple.hpp"
+
+namespace clampd {
+namespace {
+
+using namespace drive;
+
+struct UnseenReason {
+  std::string_view name, reason;
+};
+constexpr std::array<UnseenReason, 4> kNeverSeen{{
+    {"torque-gain", "every parameter is in units of the torque reading and would scale with it"},
+    {"inertia-error", "the inertia is estimated or off; give a known value in the model file to test it"},
+    {"velocity-lag", "position and velocity readings are compared before any model"},
+    {"outliers", "single bad samples are looked for before any model"},
+}};
+
+/// A reading that is late by less than this many rows is put right without a word about the drive: a command acts until the next row.
+constexpr double kAlignedRows = 1.0;
+/// What a free function of all columns takes of the squared rest, from which on something is missing however small the rest is.
+constexpr double kStructured = 0.25;
+
+/// Rows, their noise and the model that it was taken from.
+struct Workshop {
+  DriveData data;
+  DriveRange range;
+  std::unique_ptr<Design> design;
+  SelectionOptions options;
+};
+
+Eigen::VectorXd known_torque(const DriveData& data, const DriveRange& range, const DriveModel& model) {
+  const RowNoise white;
+  const Design plain(data, white);
+  Eigen::VectorXd known = Eigen::VectorXd::Zero(plain.rows());
+  for (std::size_t t = 0; t < kDriveTermCount; ++t)
+    if (model.parts[t].use == PartUse::Fixed)
+      known += model.parts[t].value * plain.rows_of(variants_of(static_cast<DriveTerm>(t), range, data, model).front().functions.front());
+  for (std::size_t c = 0; c < model.regressors.size(); ++c)
+    if (model.regressors[c].known_torque)
+      known += plain.rows_of({BasisFunction::Carrier::One, BasisFunction::Factor::Column, 0.0, 1.0, static_cast<int>(c)});
+  return known;
+}
+
+/// The shift within a row, if any, that makes the torque fit the motion.
+double alignment_s(Selector& selector, const TorqueModel& rich, double sample_s) {
+  double best_s = 0.0;
+  TorqueModel best = rich;
+  constexpr int kSteps = 8;
+  for (int k = -kSteps; k <= kSteps; ++k) {
+    if (k == 0) continue;
+    std::vector<Variant> parts = rich.parts;
+    Variant lag{DriveTerm::TorqueLag, "torque-lag", {}};
+    lag.lag_s = k * kAlignedRows / kSteps * sample_s;
+    parts.push_back(lag);
+    TorqueModel shifted = selector.fitted(std::move(parts));
+    if (shifted.ok() && shifted.fit.square < best.fit.square) {
+      best = std::move(shifted);
+      best_s = lag.lag_s;
+    }
+  }
+  // At the end of what counts as aligned it is an effect, and looked for as such.
+  const bool at_end = std::abs(best_s) > (kAlignedRows - 0.01) * sample_s;
+  return at_end || selector.gain(best, rich) < 8.0 ? 0.0 : best_s;
+}
+
+void prepare_noise(Workshop& shop, const DriveModel& model, double false_alarm, int most_effects) {
+  shop.range = range_of(shop.data);
+  const Eigen::VectorXd known = known_torque(shop.data, shop.range, model);
+  shop.options = {.false_alarm = false_alarm, .most_effects = most_effects};
+  RowNoise noise;
+  for (int round = 0; round < 2; ++round) {
+    shop.design = std::make_unique<Design>(shop.data, noise);
+    shop.design->set_known(known);
+    Selector selector(*shop.design, shop.range, model, shop.options);
+    const TorqueModel rich = selector.rich();
+    if (!rich.ok()) return;
+    if (round == 0) {
+      noise = model.steady ? RowNoise{} : noise_of(shop.data, shop.design->residuals(rich.fit));
+    } else {
+      shop.options.overdispersion = shop.design->overdispersion(rich.fit);
+      if (!model.steady && model.part(DriveTerm::TorqueLag).use != PartUse::Off)
+        shop.options.lag_s = alignment_s(selector, rich, shop.data.sample_s);
+    }
+  }
+}
+
+/// What each effect is a function of, if a free function of it could take its place.
+std::string_view variable_of_term(DriveTerm term) {
+  switch (term) {
+    case DriveTerm::Gravity:
+    case DriveTerm::LoadPosition:
+    case DriveTerm::FrictionPosition:
+      return "position";
+    case DriveTerm::QuadraticDrag:
+    case DriveTerm::FrictionShape:
+    case DriveTerm::FrictionPower:
+      return "velocity";
+    default:
+      return "";
+  }
+}
+
+/// Names that only approximate what a free function of their variable takes are withdrawn: that torque is on no list.
+void withdraw_approximations(Selector& selector, const Design& design, const DriveModel& model, Selection& selection,
+                             std::vector<std::string>& notices) {
+  constexpr double kTooMuch = 0.5, kLeast = 0.05;
+  for (const std::string_view variable : {"position", "velocity"}) {
+    std::vector<Variant> rest;
+    std::vector<std::string> names;
+    for (const Variant& part : selection.best.parts) {
+      const bool base = std::ranges::find(selection.base.parts, part) != selection.base.parts.end();
+      if (!base && variable_of_term(part.term) == variable)
+        names.push_back(part.name);
+      else
+        rest.push_back(part);
+    }
+    if (names.empty()) continue;
+    TorqueModel smaller = selector.fitted(rest);
+    if (!smaller.ok()) continue;
+    const Eigen::VectorXd left = design.residuals(selection.best.fit);
+    const double share = free_function_share(design, left, variable_of(design, variable, model));
+    const double taken = design.residuals(smaller.fit).squaredNorm() - left.squaredNorm();
+    if (share < kLeast || share * left.squaredNorm() < kTooMuch * taken) continue;
+    notices.push_back(fmt::format("{} would explain less than what would still depend on {}", fmt::join(names, ", "), variable));
+    selection.best = std::move(smaller);
+    std::erase_if(selection.rivals, [&](const std::vector<std::string>& group) {
+      return std::ranges::find(names, group.front()) != names.end();
+    });
+  }
+}
+
+/// Where a function of the columns takes much of the rest, whatever fits the rest a little may only lean on it: names stay for what
+/// takes more than that.
+void withdraw_what_leans_on_the_rest(Selector& selector, const Design& design, const DriveModel& model, Selection& selection,
+                                     std::vector<std::string>& notices) {
+  for (std::size_t p = 0; p < selection.best.parts.size();) {
+    const Variant part = selection.best.parts[p];
+    const double left = design.residuals(selection.best.fit).squaredNorm();
+    const double share = explainable_share(design, selection.best, model);
+    if (!(share > kStructured) || std::ranges::find(selection.base.parts, part) != selection.base.parts.end()) {
+      ++p;
+      continue;
+    }
+    std::vector<Variant> rest = selection.best.parts;
+    rest.erase(rest.begin() + static_cast<std::ptrdiff_t>(p));
+    TorqueModel smaller = selector.fitted(rest);
+    if (!smaller.ok() || design.residuals(smaller.fit).squaredNorm() - left > share * left) {
+      ++p;
+      continue;
+    }
+    notices.push_back(fmt::format("{} would explain less than what would still depend on the recorded columns", part.name));
+    selection.best = std::move(smaller);
+    std::erase_if(selection.rivals, [&](const std::vector<std::string>& group) { return group.front() == part.name; });
+    p = 0;
+  }
+}
+
+std::vector<Variant> effects_of(const Selection& selection) {
+  std::vector<Variant> effects;
+  for (const Variant& part : selection.best.parts)
+    if (std::ranges::find(selection.base.parts, part) == selection.base.parts.end()) effects.push_back(part);
+  return effects;
+}
+
+GainFigures figures(const Design& design, const TorqueModel& model, const Remainder& remainder, const Remainder& best) {
+  GainFigures result;
+  result.rms_force_N = result.rms_velocity_rad_s = kNaN;
+  result.simulated_rms_force_N = result.simulated_rms_velocity_rad_s = kNaN;
+  result.rms_torque_Nm = remainder.left;
+  result.torque_error_relative = remainder.left / design.root_mean_square(model.fit.target);
+  const double variance = remainder.left * remainder.left;
+  result.log_likelihood_per_sample = -0.5 * (std::log(2.0 * M_PI * variance) + 1.0);
+  const double z = remainder.correlation * std::sqrt(design.fitted_rows());
+  result.whiteness_p_value = std::erfc(std::abs(z) / std::sqrt(2.0));
+  result.misfit = variance / (best.left * best.left);
+  return result;
+}
+
+std::vector<RunView> views_of(const Design& design, const TorqueModel& before, const TorqueModel& after) {
+  std::vector<RunView> views;
+  Eigen::Index row = 0;
+  const auto list = [](const Eigen::VectorXd& values) { return std::vector<double>(values.data(), values.data() + values.size()); };
+  const Eigen::VectorXd left_before = design.residuals(before.fit), left_after = design.residuals(after.fit);
+  for (const DriveRows& run : design.data().runs) {
+    const auto size = static_cast<Eigen::Index>(run.size());
+    if (!run.heldout) {
+      RunView view;
+      view.name = run.name;
+      view.time_s = list(run.time_s);
+      view.torque_Nm = list(run.torque);
+      view.position_rad = list(run.position);
+      view.velocity.measured = list(run.velocity);
+      view.disturbance_before_Nm = list(left_before.segment(row, size));
+      view.disturbance_after_Nm = list(left_after.segment(row, size));
+      views.push_back(std::move(view));
+    }
+    row += size;
+  }
+  return views;
+}
+
+void add_ladder(const Selection& selection, Selector& selector, const Design& design, const DriveModel& model, Diagnosis& diagnosis) {
+  std::set<std::string> rivals;
+  for (const auto& group : diagnosis.rivals) rivals.insert(group.begin(), group.end());
+  for (std::size_t s = 0; s < selection.stages.size(); ++s)
+    for (std::size_t i = 0; i < selection.stages[s].trials.size(); ++i) {
+      const Trial& trial = selection.stages[s].trials[i];
+      CandidateSummary summary;
+      summary.stage = static_cast<int>(s) + 1;
+      summary.name = trial.variant.name;
+      summary.location = trial.variant.term == DriveTerm::TorqueLag ? Location::Timing : Location::TorqueBalance;
+      summary.predicted_gain = summary.gain = trial.gain;
+      summary.parameters = static_cast<int>(std::max<std::size_t>(1, trial.variant.functions.size()));
+      summary.significance_nats = std::max(0.0, trial.significance_nats);
+      summary.p_value = std::min(1.0, selection.candidates * std::exp(-summary.significance_nats));
+      summary.chosen = selection.stages[s].chosen == i;
+      summary.rival = !summary.chosen && rivals.contains(summary.name);
+      std::vector<Variant> parts = selection.base.parts;
+      parts.push_back(trial.variant);
+      if (const TorqueModel alone = selector.fitted(parts); alone.ok() && s == 0)
+        summary.values = Estimate(design, alone, model).effect_parameters(alone.parts.back());
+      diagnosis.candidates.push_back(std::move(summary));
+      if (s == 0 && !trial.impossible.empty() && trial.significant)
+        diagnosis.notices.push_back(fmt::format("{} is no explanation: {}", trial.variant.name, trial.impossible));
+    }
+}
+
+NamedEffect named(const Variant& effect, const Selection& selection, Selector& selector, const Estimate& estimate) {
+  NamedEffect result;
+  result.name = effect.name;
+  result.location = effect.term == DriveTerm::TorqueLag ? Location::Timing : Location::TorqueBalance;
+  result.parameters = estimate.effect_parameters(effect);
+  std::vector<Variant> parts;
+  for (const Variant& part : selection.best.parts)
+    if (part.name != effect.name) parts.push_back(part);
+  const TorqueModel without = selector.fitted(parts);
+  if (!without.ok()) return result;
+  result.log_likelihood_gain = selector.gain(selection.best, without);
+  for (const Selection::Stage& stage : selection.stages)
+    for (const Trial& trial : stage.trials)
+      if (trial.variant.name == effect.name)
+        result.p_value = std::min(result.p_value, selection.candidates * std::exp(-std::max(0.0, trial.significance_nats)));
+  return result;
+}
+
+/// Periodic torques within runs at steady speeds, which count as one row each otherwise.
+void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candidates, Diagnosis& diagnosis, std::vector<std::string>& words) {
+  const std::string name(name_of(DriveTerm::Cogging));
+  if (!ripple.tested) {
+    diagnosis.unseen.push_back({name, ripple.reason});
+    return;
+  }
+  CandidateSummary summary;
+  summary.name = name;
+  summary.predicted_gain = summary.gain = ripple.gain;
+  summary.parameters = static_cast<int>(2 * ripple.orders.size());
+  summary.significance_nats = ripple.significance_nats;
+  summary.chosen = !ripple.orders.empty();
+  int number = 0;
+  for (const SteadyRipple::Order& order : ripple.orders) {
+    const std::string suffix = fmt::format("-{}", ++number);
+    summary.values.push_back({"order" + suffix, units.order, order.order, kNaN});
+    if (!std::isnan(order.forward)) summary.values.push_back({"amplitude-forward" + suffix, units.torque, order.forward, order.forward_sd});
+    if (!std::isnan(order.backward))
+      summary.values.push_back({"amplitude-backward" + suffix, units.torque, order.backward, order.backward_sd});
+    diagnosis.notices.push_back(
+        fmt::format("within the steady runs, order {} makes {:.0f} % of the torque's variance", order.order, 100.0 * order.share));
+  }
+  if (summary.chosen) {
+    NamedEffect effect;
+    effect.name = name;
+    effect.parameters = summary.values;
+    effect.log_likelihood_gain = ripple.gain;
+    effect.p_value = std::min(1.0, candidates * std::exp(-ripple.significance_nats));
+    diagnosis.effects.push_back(std::move(effect));
+    words.emplace_back(words_of(DriveTerm::Cogging));
+  }
+  diagnosis.candidates.push_back(std::move(summary));
+}
+
+std::string listed(const std::vector<std::string>& words) {
+  std::string text;
+  for (std::size_t i = 0; i < words.size(); ++i) text += (i == 0 ? "" : i + 1 == words.size() ? "; and " : "; ") + words[i];
+  return text;
+}
+
+/// What the rest is like, for the sentence that says why the verdict is what it is.
+std::string rest_words(const Remainder& rest, const std::vector<DependenceTest>& left, const Units& units) {
+  std::string names;
+  for (std::size_t i = 0; i < std::min<std::size_t>(2, left.size()); ++i)
+    if (left[i].dependence.variable != "time" && left[i].dependence.variable != "run")
+      names += (names.empty() ? "" : " and ") + left[i].dependence.variable;
+  if (rest.explainable >= 0.1 && !names.empty())
+    return fmt::format("depends on {}: a function of the columns could take {:.0f} % of its square", names, 100.0 * rest.explainable);
+  if (rest.correlation > 0.35) return "is smooth in time, but neither in position nor in velocity: no column shows it";
+  return fmt::format("is irregular from row to row and more than the readings' own noise ({:.2g} {})", rest.noise, units.torque);
+}
+
+}  // namespace
+
+Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model, const DiagnoseOptions& options) {
+  const auto started = std::chrono::steady_clock::now();
+  const auto progress = [&](double share, const char* what) {
+    if (options.progress) options.progress(share, what);
+  };
+  progress(0.0, "readings");
+  std::vector<Run> all(runs.begin(), runs.end());
+  all.insert(all.end(), options.heldout.begin(), options.heldout.end());
+  Result<CheckedData> checked = check_data(all, model);
+  if (!checked) return tl::unexpected(checked.error());
+  if (checked->stops()) return failure(stop_message(*checked));
+  if (!checked->runs.empty()) all = std::move(checked->runs);
+  progress(0.1, "motion");
+  Result<DriveData> data = prepare(all, runs.size(), model);
+  if (!data) return tl::unexpected(data.error());
+  all.clear();
+  Workshop shop;
+  shop.data = std::move(*data);
+  progress(0.3, "noise");
+  prepare_noise(shop, model, options.false_alarm, std::max(options.most_effects, 6));
+  Design& design = *shop.design;
+  Selector selector(design, shop.range, model, shop.options);
+  Selection selection = selector.run([&](double share) { progress(0.4 + 0.5 * share, "effects"); });
+  if (!selection.base.ok())
+    return failure(fmt::format("{}: the base model cannot be fitted: its parts are off, or the runs do not tell them apart; record "
+                               "both directions and several speeds, or give known values in [model]",
+                               model.file));
+  progress(0.9, "what is left");
+
+  DriveDiagnosis diagnosis;
+  diagnosis.data = std::move(checked->findings);
+  const Units units(model);
+  diagnosis.notices = shop.data.notices;
+  diagnosis.rows = shop.data.rows;
+  if (!model.steady)
+    diagnosis.notices.push_back(fmt::format("both sides of the torque balance are filtered at {:.3g} Hz", shop.data.cut_off_Hz));
+  if (shop.options.lag_s != 0.0)
+    diagnosis.data.push_back({"torque-delay", model.columns.torque.column, shop.data.runs.front().name, shop.options.lag_s, "s",
+                              DataFinding::Severity::Mended,
+                              fmt::format("the torque acts {:.2g} ms {} its reading, less than a row; it was shifted by that much",
+                                          1e3 * std::abs(shop.options.lag_s), shop.options.lag_s > 0.0 ? "after" : "before")});
+  withdraw_approximations(selector, design, model, selection, diagnosis.notices);
+  withdraw_what_leans_on_the_rest(selector, design, model, selection, diagnosis.notices);
+  diagnosis.rivals = selection.rivals;
+  const Estimate before(design, selection.base, model), after(design, selection.best, model);
+  diagnosis.parameters_before = before.base_parameters();
+  diagnosis.parameters_after = after.base_parameters();
+  for (const Variant& part : selection.base.parts)
+    for (EstimatedParameter& parameter : after.effect_parameters(part)) {
+      parameter.name = fmt::format("{}.{}", part.name, parameter.name);
+      diagnosis.parameters_after.push_back(std::move(parameter));
+    }
+  std::vector<std::string> words;
+  for (const Variant& effect : effects_of(selection)) {
+    diagnosis.effects.push_back(named(effect, selection, selector, after));
+    words.emplace_back(words_of(effect.term));
+  }
+  if (model.steady && model.part(DriveTerm::Cogging).use == PartUse::Candidate)
+    add_steady_ripple(steady_ripple(runs, model, selection.alarm_nats), units, selection.candidates, diagnosis, words);
+  diagnosis.fitted = {model, selector.terms_of(selection.best), after.covariance(), selector.lag_of(selection.best),
+                      shop.data.cut_off_Hz, shop.data.slow_speed, kNaN};
+  // Known values are certain.
+  Eigen::Index coefficients = 0;
+  for (const FittedTerm& term : diagnosis.fitted.terms) coefficients += static_cast<Eigen::Index>(term.coefficients.size());
+  diagnosis.fitted.covariance.conservativeResizeLike(Eigen::MatrixXd::Zero(coefficients, coefficients));
+  diagnosis.alarm_evidence = selection.alarm_nats;
+  add_ladder(selection, selector, design, model, diagnosis);
+
+  const auto inertia_of = [&](const std::vector<EstimatedParameter>& parameters) {
+    for (const EstimatedParameter& parameter : parameters)
+      if (parameter.name == "inertia") return parameter.value;
+    return 0.0;
+  };
+  const Remainder rest_before = remainder_of(design, selection.base, inertia_of(diagnosis.parameters_before));
+  Remainder rest = remainder_of(design, selection.best, inertia_of(diagnosis.parameters_after));
+  rest.explainable = explainable_share(design, selection.best, model);
+  diagnosis.share_left = rest.share;
+  diagnosis.share_explainable = rest.explainable;
+  diagnosis.fitted.error_rms = rest.left;
+  diagnosis.misfit.tests_before = tests_of(design, selection.base, rest_before);
+  diagnosis.misfit.tests_after = tests_of(design, selection.best, rest);
+  const std::vector<DependenceTest> left = dependences(design, selection.best, model);
+  for (const DependenceTest& test : left) diagnosis.misfit.dependences.push_back(test.dependence);
+  if (!left.empty()) diagnosis.misfit.location = Location::TorqueBalance;
+  if (!std::isfinite(rest.share) || !std::isfinite(rest_before.share))
+    return failure(fmt::format("{}: the torque does not change in the runs, so that nothing can be told of it", model.name));
+
+  const bool enough = rest.share < model.good_enough || rest.is_noise();
+  const bool structured = rest.explainable > kStructured && !rest.is_noise();
+  const std::string share = fmt::format("{:.3g} % of the torque's variation before, {:.3g} % after", 100.0 * rest_before.share,
+                                        100.0 * rest.share);
+  if (diagnosis.effects.empty() && enough && !structured) {
+    diagnosis.verdict = DiagnosisVerdict::Adequate;
+    diagnosis.summary = fmt::format("{}: the base model explains the runs; {:.3g} % of the torque's variation is left, {}.", model.name,
+                                    100.0 * rest.share,
+                                    rest.is_noise() ? "no more than the readings' own noise" : "less than what is called good enough");
+  } else if (!enough || diagnosis.effects.empty()) {
+    diagnosis.verdict = DiagnosisVerdict::Unexplained;
+    diagnosis.summary =
+        diagnosis.effects.empty()
+            ? fmt::format("{}: no known effect explains the torque; {:.3g} % of its variation is left, and that {}.", model.name,
+                          100.0 * rest.share, rest_words(rest, left, units))
+            : fmt::format("{}: {}: left of the torque's variation {}. The rest, {:.3g} %, {}.", model.name, listed(words), share,
+                          100.0 * rest.share, rest_words(rest, left, units));
+  } else {
+    diagnosis.verdict = diagnosis.rivals.empty() ? DiagnosisVerdict::Explained : DiagnosisVerdict::Ambiguous;
+    diagnosis.summary = fmt::format("{}: {}. Left: {}.", model.name, listed(words), share);
+    if (structured)
+      diagnosis.notices.push_back(fmt::format("what is left {}", rest_words(rest, left, units)));
+  }
+
+  diagnosis.next_experiment = next_motion(diagnosis.fitted, diagnosis.rivals, selection.unseen, shop.range);
+  for (const auto& [name, reason] : selection.unseen) diagnosis.unseen.push_back({name, reason.reason});
+  for (const UnseenReason& each : kNeverSeen) diagnosis.unseen.push_back({std::string(each.name), std::string(each.reason)});
+  HeldOutGain gain;
+  gain.before = figures(design, selection.base, rest_before, rest);
+  gain.after = figures(design, selection.best, rest, rest);
+  for (const DriveRows& run : shop.data.runs)
+    if (run.heldout) gain.runs.push_back(run.name);
+  diagnosis.gain = gain;
+  if (gain.runs.empty()) diagnosis.notices.push_back("no run was held out; the gain is judged by leaving out each fifth of the rows in turn");
+  if (options.views) diagnosis.views = views_of(design, selection.base, selection.best);
+  diagnosis.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
+  progress(1.0, "done");
+  return diagnosis;
+}
+
+}  // namespace clampd

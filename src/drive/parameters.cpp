@@ -1,0 +1,197 @@
+#include "src/drive/parameters.hpp"
+
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "clampd/base/nan.hpp"
+
+namespace clampd::drive {
+
+Estimate::Estimate(const Design& design, const TorqueModel& model, const DriveModel& drive)
+    : model_(model), drive_(drive), units_(drive), covariance_(design.covariance(model.fit)) {}
+
+Eigen::Index Estimate::at(DriveTerm term) const {
+  Eigen::Index first = 0;
+  for (const Variant& part : model_.parts) {
+    if (part.term == term && !part.columns.empty()) return first;
+    first += static_cast<Eigen::Index>(part.columns.size());
+  }
+  return -1;
+}
+
+EstimatedParameter Estimate::combined(std::string name, std::string unit,
+                                      std::initializer_list<std::pair<Eigen::Index, double>> terms, double known) const {
+  Eigen::VectorXd weights = Eigen::VectorXd::Zero(model_.fit.coefficients.size());
+  for (const auto& [index, factor] : terms)
+    if (index >= 0) weights[index] += factor;
+  const double variance = weights.dot(covariance_ * weights);
+  return {std::move(name), std::move(unit), known + weights.dot(model_.fit.coefficients), variance > 0.0 ? std::sqrt(variance) : kNaN};
+}
+
+std::vector<EstimatedParameter> Estimate::base_parameters() const {
+  std::vector<EstimatedParameter> parameters;
+  const auto add = [&](DriveTerm term, const std::string& unit) {
+    if (drive_.part(term).use == PartUse::Fixed)
+      parameters.push_back({std::string(name_of(term)), unit, drive_.part(term).value, kNaN});
+    else if (at(term) >= 0)
+      parameters.push_back(combined(std::string(name_of(term)), unit, {{at(term), 1.0}}));
+  };
+  add(DriveTerm::Inertia, units_.per_acceleration);
+  add(DriveTerm::Viscous, units_.per_velocity);
+  add(DriveTerm::Coulomb, units_.torque);
+  return parameters;
+}
+
+/// Root mean square over owners (runs) of the length of pairs of coefficients.
+EstimatedParameter Estimate::amplitude(std::string name, Eigen::Index first, Eigen::Index count, Eigen::Index stride,
+                                       Eigen::Index owners) const {
+  double square = 0.0, noise = 0.0;
+  for (Eigen::Index k = 0; k < count; ++k) {
+    const Eigen::Index index = first + k * stride;
+    const double value = model_.fit.coefficients[index];
+    square += value * value / static_cast<double>(owners);
+    noise += value * value * covariance_(index, index) / static_cast<double>(owners * owners);
+  }
+  const double length = std::sqrt(square);
+  return {std::move(name), units_.torque, length, length > 0.0 ? std::sqrt(noise) / length : kNaN};
+}
+
+std::vector<EstimatedParameter> Estimate::cogging(const Variant& variant, Eigen::Index first) const {
+  std::vector<EstimatedParameter> parameters;
+  int number = 0;
+  for (std::size_t i = 0; i < variant.functions.size();) {
+    std::size_t end = i;
+    while (end < variant.functions.size() && variant.functions[end].first == variant.functions[i].first) ++end;
+    const std::string suffix = fmt::format("-{}", ++number);
+    const auto count = static_cast<Eigen::Index>(end - i);
+    const Eigen::Index from = first + static_cast<Eigen::Index>(i);
+    const double order = drive_.linear ? variant.functions[i].first / (2.0 * M_PI) : variant.functions[i].first;
+    parameters.push_back({"order" + suffix, units_.order, order, kNaN});
+    parameters.push_back(amplitude("amplitude" + suffix, from, count, 1, count / 2));
+    if (count == 2) {
+      parameters.push_back(combined("cosine" + suffix, units_.torque, {{from, 1.0}}));
+      parameters.push_back(combined("sine" + suffix, units_.torque, {{from + 1, 1.0}}));
+    }
+    i = end;
+  }
+  return parameters;
+}
+
+std::vector<EstimatedParameter> Estimate::asymmetry(const Variant& variant, Eigen::Index first) const {
+  using Factor = BasisFunction::Factor;
+  const bool constant = variant.functions.front().factor == Factor::One;
+  const bool slope = variant.functions.back().factor == Factor::Power;
+  const Eigen::Index dry = constant ? first : at(DriveTerm::TorqueOffset);
+  const Eigen::Index steep = slope ? first + (constant ? 1 : 0) : -1;
+  const auto known = [&](DriveTerm term) { return drive_.part(term).use == PartUse::Fixed ? drive_.part(term).value : 0.0; };
+  std::vector<EstimatedParameter> parameters;
+  for (const double side : {1.0, -1.0}) {
+    const std::string direction = side > 0.0 ? "forward" : "backward";
+    parameters.push_back(combined("viscous-" + direction, units_.per_velocity, {{at(DriveTerm::Viscous), 1.0}, {steep, side}},
+                                  known(DriveTerm::Viscous)));
+    parameters.push_back(combined("coulomb-" + direction, units_.torque, {{at(DriveTerm::Coulomb), 1.0}, {dry, side}},
+                                  known(DriveTerm::Coulomb)));
+  }
+  return parameters;
+}
+
+std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& variant) const {
+  Eigen::Index first = 0;
+  for (const Variant& part : model_.parts) {
+    if (part.name == variant.name) break;
+    first += static_cast<Eigen::Index>(part.columns.size());
+  }
+  const auto one = [&](const char* name, const std::string& unit, Eigen::Index offset = 0, double factor = 1.0) {
+    return combined(name, unit, {{first + offset, factor}});
+  };
+  const bool two = variant.functions.size() > 1;
+  const auto shape = [&](const char* name, const std::string& unit, bool relative = true) {
+    const double value = *free_shape(variant);
+    return EstimatedParameter{name, unit, value, variant.shape_sd > 0.0 ? variant.shape_sd * (relative ? std::abs(value) : 1.0) : kNaN};
+  };
+  switch (variant.term) {
+    case DriveTerm::Inertia:
+    case DriveTerm::Viscous:
+    case DriveTerm::Coulomb:
+      return {};
+    case DriveTerm::TorqueOffset:
+      return {one("offset", units_.torque)};
+    case DriveTerm::FrictionAsymmetry:
+      return asymmetry(variant, first);
+    case DriveTerm::QuadraticDrag:
+      return {one("drag", units_.per_velocity_squared)};
+    case DriveTerm::FrictionShape: {
+      std::vector<EstimatedParameter> parameters;
+      if (two) {
+        parameters.push_back(combined("rise-forward", units_.torque, {{first, 1.0}, {first + 1, 1.0}}));
+        parameters.push_back(combined("rise-backward", units_.torque, {{first, 1.0}, {first + 1, -1.0}}));
+      } else {
+        parameters.push_back(one("rise", units_.torque));
+      }
+      parameters.push_back(shape("speed", units_.velocity));
+      return parameters;
+    }
+    case DriveTerm::FrictionPower: {
+      std::vector<EstimatedParameter> parameters{one("friction-at-speed", units_.torque)};
+      if (two) parameters.push_back(one("difference-by-direction", units_.torque, 1));
+      parameters.push_back({"speed", units_.velocity, variant.functions.front().first, kNaN});
+      parameters.push_back(shape("power", "1"));
+      return parameters;
+    }
+    case DriveTerm::Presliding:
+      return {one("level", units_.torque), shape("length", units_.position)};
+    case DriveTerm::Cogging:
+      return cogging(variant, first);
+    case DriveTerm::FrictionPosition:
+      if (variant.functions.front().factor == BasisFunction::Factor::Sine)
+        return {one("sine", units_.torque), one("cosine", units_.torque, 1)};
+      if (!two) return {one("slope", units_.torque)};
+      return {one("slope", units_.torque), one("curvature", units_.torque, 1)};
+    case DriveTerm::LoadPosition: {
+      const double unit = variant.functions.front().second;
+      std::vector<EstimatedParameter> parameters{one("stiffness", units_.torque + "/" + units_.position, 0, 1.0 / unit)};
+      const double slope = model_.fit.coefficients[first];
+      if (two && slope != 0.0) parameters.push_back({"slack-at", units_.position, -model_.fit.coefficients[first + 1] / slope * unit, kNaN});
+      return parameters;
+    }
+    case DriveTerm::InertiaPosition:
+      if (!two) return {one("slope", units_.per_acceleration)};
+      return {one("slope", units_.per_acceleration), one("curvature", units_.per_acceleration, 1)};
+    case DriveTerm::FrictionDrift: {
+      std::vector<EstimatedParameter> parameters;
+      for (std::size_t i = 0; i < variant.functions.size(); ++i) {
+        const BasisFunction& function = variant.functions[i];
+        const bool viscous = function.carrier == BasisFunction::Carrier::Velocity;
+        const char* name = function.factor == BasisFunction::Factor::Run    ? "change-per-run"
+                           : function.factor == BasisFunction::Factor::Time ? "change-within-run"
+                                                                            : "excess-at-start";
+        parameters.push_back(one((std::string(viscous ? "viscous-" : "") + name).c_str(), viscous ? units_.per_velocity : units_.torque,
+                                 static_cast<Eigen::Index>(i)));
+      }
+      return parameters;
+    }
+    case DriveTerm::Gravity: {
+      const auto count = static_cast<Eigen::Index>(variant.functions.size());
+      std::vector<EstimatedParameter> parameters{amplitude("amplitude", first, count, 1, std::max<Eigen::Index>(1, count / 2))};
+      if (count == 2) {
+        parameters.push_back(one("sine", units_.torque));
+        parameters.push_back(one("cosine", units_.torque, 1));
+      }
+      parameters.push_back({"multiple", "1", variant.functions.front().first,
+                            variant.shape_sd > 0.0 ? variant.shape_sd * variant.functions.front().first : kNaN});
+      return parameters;
+    }
+    case DriveTerm::LoadFriction:
+      return {one("friction-per-load", "1")};
+    case DriveTerm::TorqueSaturation:
+      return {one("excess-at-rms-torque", units_.torque, 0, variant.functions.front().first)};
+    case DriveTerm::TorqueLag:
+      return {{"lag", "s", variant.lag_s, variant.shape_sd > 0.0 ? variant.shape_sd : kNaN}};
+    case DriveTerm::Regressor:
+      return {one("factor", units_.torque + " per unit")};
+  }
+  return {};
+}
+
+}  // namespace clampd::drive

@@ -1,0 +1,79 @@
+#pragma once
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "clampd/base/result.hpp"
+#include "clampd/diagnose/diagnosis.hpp"
+#include "clampd/drive/model.hpp"
+#include "clampd/record/run.hpp"
+
+namespace clampd::drive {
+
+/// One run's motion, sample by sample (or average by average).
+struct DriveMotion {
+  std::vector<double> time_s;  ///< since the run began
+  std::vector<double> torque, position, velocity, acceleration;
+  std::vector<double> direction;  ///< of the velocity; 0 at standstill
+  std::vector<double> travel;     ///< since the last reversal; infinite before the first
+  std::vector<std::vector<double>> columns;  ///< the user's own, by DriveModel::regressors
+
+  DriveState state(std::size_t i, int run, std::vector<double>& columns_here) const;
+};
+
+/// The torque balance of one run, low-pass filtered and decimated. What stands on either side of it goes through the same
+/// filter, so that the filter changes nothing about the balance (parallel filtering; Gautier 1997).
+class DriveRows {
+ public:
+  std::string name;
+  int run = 0;  ///< in the order of the files
+  bool heldout = false;
+  DriveMotion motion;
+
+  std::size_t size() const { return rows_.size(); }
+  /// One value a sample in, one a row out.
+  Eigen::VectorXd filtered(std::span<const double> samples) const;
+  /// Torque as the reading that is `lag_s` older than the row.
+  Eigen::VectorXd torque_at(double lag_s) const;
+
+  Eigen::VectorXd time_s, torque, position, velocity, acceleration, direction, travel;  ///< filtered, one a row
+  double sum_of_squared_weights = 1.0;  ///< of a row's filter, on average: what white noise of a sample leaves in it
+
+ private:
+  friend struct RowsBuilder;
+  struct Row {
+    double at_s = 0.0;
+    std::size_t first = 0;
+    std::vector<double> weights;
+  };
+  std::vector<Row> rows_;
+  double filter_sd_s_ = 0.0;
+};
+
+/// What the readings themselves say of their noise, independent of any model; standard deviations.
+struct ReadingNoise {
+  double torque = 0.0;        ///< of a row's torque, by what a sample's torque does beyond the motion's bandwidth
+  double acceleration = 0.0;  ///< of a row's acceleration, by the position's (or velocity's) noise and step
+};
+
+struct DriveData {
+  std::vector<DriveRows> runs;
+  double cut_off_Hz = 0.0;        ///< NaN with steady runs
+  double sample_s = 0.0;          ///< between two rows of the files, the median; 0 with steady runs
+  bool position_absolute = true;  ///< false: integrated from velocity, zero at the start of each run
+  bool keeps_reversals = false;   ///< rows in which the drive reverses count too
+  double slow_speed = 0.0;        ///< below this a reading counts as standstill
+  ReadingNoise noise;
+  RowCount rows;
+  std::vector<std::string> notices;
+};
+
+/// Motion by local polynomials (no lag, any sampling), rows by a Gaussian low-pass without lag; rows at standstill are left out,
+/// since friction there is anything up to its limit. Of `runs`, those from `heldout_from` on are held out.
+/// Errors: a run too short or without a reading that the model promises, no motion at all.
+Result<DriveData> prepare(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model);
+
+}  // namespace clampd::drive

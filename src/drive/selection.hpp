@@ -1,0 +1,108 @@
+#pragma once
+
+#include <functional>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "src/drive/design.hpp"
+#include "src/drive/terms.hpp"
+
+namespace clampd::drive {
+
+/// The parts of a torque balance and their fit.
+struct TorqueModel {
+  std::vector<Variant> parts;
+  Fit fit;
+  double evidence = 0.0;  ///< nats, of the marginal likelihood
+  bool ok() const { return fit.ok; }
+  const Variant* part(DriveTerm term) const;
+};
+
+/// One candidate beside one model.
+struct Trial {
+  Variant variant = {};
+  double gain = 0.0;               ///< nats, overdispersion counted
+  double significance_nats = 0.0;  ///< -ln p, its alternatives counted
+  double evidence = 0.0;           ///< nats above the model's
+  bool significant = false;
+  bool material = false;  ///< predicts what was left out
+  std::string impossible = {};  ///< why no drive can be like that; empty if one can
+  bool acceptable() const { return significant && material && impossible.empty(); }
+};
+
+struct Selection {
+  TorqueModel base, best;
+  struct Stage {
+    std::vector<Trial> trials;
+    std::optional<std::size_t> chosen;
+  };
+  std::vector<Stage> stages;
+  std::vector<std::vector<std::string>> rivals;
+  std::map<std::string, Unidentifiable> unseen;
+  std::vector<std::string> findings;  ///< impossible values and the like
+  int candidates = 0;
+  double alarm_nats = 0.0;
+};
+
+struct SelectionOptions {
+  double false_alarm = 0.005;
+  int most_effects = 6;
+  double lag_s = 0.0;  ///< by which the torque is always shifted
+  double overdispersion = 1.0;
+};
+
+/// Forward selection of terms with backward checks and swaps, all on the same rows with the same likelihood.
+class Selector {
+ public:
+  Selector(Design& design, const DriveRange& range, const DriveModel& model, const SelectionOptions& options);
+
+  Selection run(const std::function<void(double)>& progress);
+
+  TorqueModel fitted(std::vector<Variant> parts);
+  std::vector<FittedTerm> terms_of(const TorqueModel& model) const;
+  double lag_of(const TorqueModel& model) const;
+  /// Nats by which the larger model's likelihood exceeds the other's.
+  double gain(const TorqueModel& more, const TorqueModel& less) const;
+  /// Base, and what may join with most columns that no shape decides; for the noise.
+  TorqueModel rich();
+
+ private:
+  struct Judgement {
+    double significance_nats = 0.0;
+    bool material = false;
+  };
+  std::vector<Variant> pool_of(const TorqueModel& model);
+  std::vector<Variant> ripple_candidates(const TorqueModel& model);
+  std::vector<Variant> load_candidates(const TorqueModel& model);
+  Judgement judge(const TorqueModel& more, const TorqueModel& less, const Variant& added) const;
+  Trial trial(const TorqueModel& model, const std::vector<Variant>& variants);
+  Trial judged(const TorqueModel& model, const TorqueModel& with, const Variant& variant);
+  std::vector<Trial> trials(const TorqueModel& model);
+  double asymmetry_evidence(const TorqueModel& model, const std::vector<Variant>& variants);
+  TorqueModel refined(TorqueModel model, DriveTerm term);
+  bool drop_what_is_no_longer_needed(TorqueModel& model);
+  bool swap(TorqueModel& model);
+  bool difference_is_certain(const TorqueModel& better, const TorqueModel& other) const;
+  void find_rivals(Selection& selection);
+  TorqueModel without(const TorqueModel& model, std::size_t part);
+  TorqueModel with(const TorqueModel& model, const Variant& variant);
+  double critical(double alternatives) const;
+  bool is_base(const Variant& variant) const;
+
+  Design& design_;
+  const DriveRange& range_;
+  const DriveModel& model_;
+  SelectionOptions options_;
+  std::vector<Variant> base_;
+  std::vector<Variant> pool_;  ///< all that depends on no other part
+  int candidates_ = 1;
+  double variation_ = 0.0;  ///< norm of the torque of all rows about its mean
+};
+
+/// Variants of cogging: the orders that the residuals show, beside those already there.
+std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& whitened_residuals, const DriveRange& range,
+                                const DriveModel& model, const Variant* already, std::string* why_not);
+
+}  // namespace clampd::drive

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "clampd/drive/model.hpp"
+#include "src/drive/design.hpp"
+
+namespace clampd::drive {
+
+/// What the fitted runs cover.
+struct DriveRange {
+  double lowest = 0.0, highest = 0.0;  ///< position
+  double slow = 0.0, fast = 0.0;       ///< 5 % and 98 % of the absolute speed
+  double acceleration = 0.0;           ///< root mean square
+  double duration_s = 0.0;             ///< of the longest run
+  int runs = 0;
+  int reversals = 0;
+  double forward = 0.0;  ///< share of the rows
+  double torque = 0.0;   ///< root mean square
+
+  double centre() const { return 0.5 * (lowest + highest); }
+  double half() const { return 0.5 * (highest - lowest); }
+  bool both_directions() const { return forward > 0.05 && forward < 0.95; }
+};
+DriveRange range_of(const DriveData& data);
+
+/// One way in which a term may act: linear in its coefficients once its shape is given.
+struct Variant {
+  DriveTerm term = DriveTerm::Inertia;
+  std::string name;
+  std::vector<BasisFunction> functions;
+  double alternatives = 1.0;      ///< shapes that were tried for it
+  bool replaces_viscous = false;  ///< a power law in the viscous friction's place
+  double lag_s = 0.0;             ///< of torque-lag
+  double shape_sd = 0.0;          ///< of the shape's continuous number, relative; 0: it has none
+  std::vector<int> columns = {};  ///< of the Design
+  /// Columns that depend on the rest of the model, as it was last fitted; empty: the functions' own.
+  std::vector<int> frozen = {};
+
+  bool operator==(const Variant& other) const {
+    return name == other.name && functions == other.functions && replaces_viscous == other.replaces_viscous && lag_s == other.lag_s;
+  }
+};
+
+/// All variants of a term that do not depend on the model beside it.
+std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const DriveData& data, const DriveModel& model);
+
+/// Why these runs cannot show the term, and what motion would; nothing if they can.
+struct Unidentifiable {
+  std::string reason;
+  std::string motion;  ///< to record next
+};
+std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& range, const DriveData& data, const DriveModel& model);
+
+/// Numbers that a variant brings: coefficients and a free shape.
+int complexity(const Variant& variant);
+
+/// The number of a variant's shape that may be anything: a speed, a length, a power, an order. Null: none.
+const double* free_shape(const Variant& variant);
+Variant with_shape(const Variant& variant, double shape);
+
+/// Why no drive can be like this: "friction would push the drive at 3 rad/s forward". Nothing if one can.
+std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, const DriveRange& range, const DriveModel& model);
+
+/// "torque ripples periodically with position"
+std::string_view words_of(DriveTerm term);
+
+}  // namespace clampd::drive

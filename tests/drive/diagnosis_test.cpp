@@ -1,0 +1,319 @@
+#include "clampd/drive/diagnosis.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "drive/truth.hpp"
+
+namespace clampd {
+namespace {
+
+using DriveRun = Run;  // testing::Test has a Run of its own
+
+using drive_test::simulate_set;
+using drive_test::Truth;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+DriveModel drive(const std::string& more = "") {
+  const Result<DriveModel> model = parse_drive_model(
+      "[drive]\nkind = \"rotary\"\n[columns]\ntime = \"t\"\ntorque = \"u\"\nposition = \"q\"\n"
+      "[data]\ntorque_held = true\n" +
+          more,
+      "m.toml");
+  EXPECT_TRUE(model) << model.error().message;
+  return *model;
+}
+
+Diagnosis diagnosed(std::span<const DriveRun> runs, const DriveModel& model = drive(),
+                    const DiagnoseOptions& options = {}) {
+  Result<Diagnosis> diagnosis = diagnose_drive(runs, model, options);
+  EXPECT_TRUE(diagnosis) << diagnosis.error().message;
+  return diagnosis ? std::move(*diagnosis) : Diagnosis{};
+}
+
+std::vector<std::string> names(const Diagnosis& diagnosis) {
+  std::vector<std::string> result;
+  for (const NamedEffect& effect : diagnosis.effects) result.push_back(effect.name);
+  return result;
+}
+
+EstimatedParameter find(const std::vector<EstimatedParameter>& parameters, const std::string& name) {
+  for (const EstimatedParameter& parameter : parameters)
+    if (parameter.name == name) return parameter;
+  ADD_FAILURE() << "no parameter " << name;
+  return {};
+}
+
+void expect_within(const EstimatedParameter& parameter, double truth, double sds, double slack = 0.0) {
+  EXPECT_GT(parameter.sd, 0.0) << parameter.name;
+  EXPECT_NEAR(parameter.value, truth, sds * parameter.sd + slack) << parameter.name << " " << parameter.unit;
+}
+
+struct Hidden {
+  std::string name;
+  Truth truth;
+};
+void PrintTo(const Hidden& hidden, std::ostream* out) {
+  *out << hidden.name;
+}
+
+std::vector<Hidden> hidden_effects() {
+  std::vector<Hidden> all(8);
+  all[0].name = "friction-asymmetry";
+  all[0].truth.extra = [](double, double v, int) { return 1.5e-3 * std::abs(v); };
+  all[1].name = "cogging";
+  all[1].truth.extra = [](double q, double, int) {
+    return 0.02 * std::sin(6.0 * q + 1.0) + 8e-3 * std::cos(12.0 * q);
+  };
+  all[2].name = "quadratic-drag";
+  all[2].truth.extra = [](double, double v, int) { return 1.5e-4 * v * std::abs(v); };
+  all[3].name = "friction-shape";
+  all[3].truth.dry = [](double, double v, int) { return 0.15 + 0.08 / (1.0 + v * v / 9.0); };
+  all[4].name = "friction-position";
+  all[4].truth.dry = [](double q, double, int) { return 0.15 * (1.0 + q / 80.0); };
+  all[5].name = "load-position";
+  all[5].truth.extra = [](double q, double, int) { return 0.002 * q; };
+  all[6].name = "friction-drift";
+  all[6].truth.dry = [](double, double, int run) { return 0.15 * (1.0 - 0.08 * run); };
+  all[7].name = "presliding";
+  all[7].truth.bristle_rad = 0.15;
+  return all;
+}
+
+class HiddenEffect : public ::testing::TestWithParam<Hidden> {};
+
+TEST_P(HiddenEffect, IsNamedAndNothingElse) {
+  for (const unsigned seed : {101u, 102u, 103u}) {
+    const auto runs = simulate_set(GetParam().truth, seed);
+    const Diagnosis diagnosis = diagnosed(runs);
+    EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Explained) << diagnosis.summary;
+    EXPECT_THAT(names(diagnosis), ElementsAre(GetParam().name)) << diagnosis.summary;
+    ASSERT_TRUE(diagnosis.gain);
+    EXPECT_LT(diagnosis.gain->after.rms_torque_Nm, 0.95 * diagnosis.gain->before.rms_torque_Nm);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Single, HiddenEffect, ::testing::ValuesIn(hidden_effects()), [](const auto& each) {
+  std::string name = each.param.name;
+  std::replace(name.begin(), name.end(), '-', '_');
+  return name;
+});
+
+TEST(DriveDiagnosis, AFaultlessDriveIsAdequate) {
+  int adequate = 0;
+  constexpr int kSets = 20;
+  for (unsigned seed = 1; seed <= kSets; ++seed) {
+    Truth truth;
+    truth.duration_s = 8.0;
+    truth.disturbance = seed % 2 == 0 ? 0.004 : 0.012;
+    const Diagnosis diagnosis = diagnosed(simulate_set(truth, seed));
+    adequate += diagnosis.verdict == DiagnosisVerdict::Adequate ? 1 : 0;
+  }
+  EXPECT_GE(adequate, kSets - 1);  // one in a hundred may be called faulty
+}
+
+TEST(DriveDiagnosis, ParametersAreTrueWithinTheirUncertainty) {
+  int within = 0;
+  int all = 0;
+  for (unsigned seed = 201; seed <= 212; ++seed) {
+    const Truth truth;
+    const Diagnosis diagnosis = diagnosed(simulate_set(truth, seed, 2));
+    for (const auto& [name, value] :
+         {std::pair{"inertia", truth.inertia}, {"viscous", truth.viscous}, {"coulomb", truth.coulomb}}) {
+      const EstimatedParameter parameter = find(diagnosis.parameters_after, name);
+      EXPECT_NEAR(parameter.value, value, 0.02 * value);
+      // A tenth of a per cent for the smoothing of corners.
+      within += std::abs(parameter.value - value) < 2.0 * parameter.sd + 1e-3 * value ? 1 : 0;
+      ++all;
+    }
+  }
+  EXPECT_GE(within, all * 8 / 10);
+}
+
+TEST(DriveDiagnosis, AnOffsetAndAsymmetricDryFrictionAreTwinsWhileSliding) {
+  Truth truth;
+  truth.extra = [](double, double, int) { return 0.03; };
+  const Diagnosis diagnosis = diagnosed(simulate_set(truth, 301));
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Ambiguous);
+  ASSERT_EQ(diagnosis.rivals.size(), 1u);
+  EXPECT_THAT(diagnosis.rivals.front(), ElementsAre("torque-offset", "friction-asymmetry"));
+  ASSERT_EQ(diagnosis.effects.size(), 1u);
+  expect_within(find(diagnosis.effects.front().parameters, "offset"), 0.03, 3.0);
+}
+
+TEST(DriveDiagnosis, FindsTwoEffects) {
+  Truth truth;
+  truth.extra = [](double q, double v, int) { return 1.5e-3 * std::abs(v) + 0.02 * std::sin(6.0 * q); };
+  const Diagnosis diagnosis = diagnosed(simulate_set(truth, 302));
+  EXPECT_THAT(names(diagnosis), ::testing::UnorderedElementsAre("friction-asymmetry", "cogging"));
+  for (const NamedEffect& effect : diagnosis.effects) {
+    EXPECT_LT(effect.p_value, 0.01);
+    if (effect.name == "cogging") {
+      EXPECT_EQ(find(effect.parameters, "order-1").value, 6.0);
+      expect_within(find(effect.parameters, "amplitude-1"), 0.02, 3.0, 2e-4);
+    } else {
+      expect_within(find(effect.parameters, "viscous-forward"), 6.5e-3, 3.0, 1e-5);
+      expect_within(find(effect.parameters, "viscous-backward"), 3.5e-3, 3.0, 1e-5);
+    }
+  }
+}
+
+TEST(DriveDiagnosis, WhatIsNotOnTheListHasNoName) {
+  Truth bump;
+  bump.extra = [](double q, double, int) { return 0.06 * std::exp(-(q - 3.0) * (q - 3.0) / 4.0); };
+  Truth root;
+  root.extra = [](double, double v, int) { return 0.05 * std::cbrt(v) - 0.008 * v; };
+  for (const auto& [truth, variable] : {std::pair{bump, "position"}, {root, "velocity"}}) {
+    const Diagnosis diagnosis = diagnosed(simulate_set(truth, 303));
+    EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Unexplained) << diagnosis.summary;
+    EXPECT_THAT(names(diagnosis), IsEmpty());
+    ASSERT_FALSE(diagnosis.misfit.dependences.empty());
+    EXPECT_EQ(diagnosis.misfit.dependences.front().variable, variable);
+    EXPECT_EQ(diagnosis.misfit.location, Location::TorqueBalance);
+  }
+}
+
+TEST(DriveDiagnosis, HeldOutRunsHaveAVeto) {
+  // A ripple whose phase is another one after the position was lost.
+  Truth truth, other;
+  truth.extra = [](double q, double, int) { return 0.02 * std::sin(6.0 * q); };
+  other.extra = [](double q, double, int) { return 0.02 * std::sin(6.0 * q + 2.5); };
+  const auto runs = simulate_set(truth, 304);
+  const auto same = simulate_set(truth, 305, 1);
+  const auto lost = simulate_set(other, 306, 1);
+  DiagnoseOptions options;
+  options.heldout = same;
+  const Diagnosis supported = diagnosed(runs, drive(), options);
+  EXPECT_THAT(names(supported), ElementsAre("cogging"));
+  ASSERT_TRUE(supported.gain);
+  EXPECT_THAT(supported.gain->runs, ElementsAre("run 1"));
+  EXPECT_LT(supported.gain->after.rms_torque_Nm, 0.7 * supported.gain->before.rms_torque_Nm);
+  options.heldout = lost;
+  EXPECT_THAT(names(diagnosed(runs, drive(), options)), IsEmpty());
+}
+
+TEST(DriveDiagnosis, IrregularAndDifferentSamplingChangeNothing) {
+  Truth truth;
+  truth.extra = [](double, double v, int) { return 1.5e-3 * std::abs(v); };
+  truth.sample_jitter = 0.4;
+  std::vector<DriveRun> runs = simulate_set(truth, 307);
+  DriveRun sparse;
+  sparse.name = "every fourth";
+  for (std::size_t i = 0; i < runs[0].size(); i += 4) {
+    sparse.time_s.push_back(runs[0].time_s[i]);
+    sparse.position_rad.push_back(runs[0].position_rad[i]);
+    // What acts from here to the next row.
+    double mean = 0.0;
+    for (std::size_t k = i; k < std::min(i + 4, runs[0].size()); ++k) mean += runs[0].torque_Nm[k] / 4.0;
+    sparse.torque_Nm.push_back(mean);
+  }
+  runs[0] = sparse;
+  const Diagnosis diagnosis = diagnosed(runs);
+  EXPECT_THAT(names(diagnosis), ElementsAre("friction-asymmetry")) << diagnosis.summary;
+  EXPECT_NEAR(find(diagnosis.effects.front().parameters, "viscous-forward").value, 6.5e-3, 2e-4);
+  EXPECT_NEAR(find(diagnosis.parameters_after, "inertia").value, 1e-3, 2e-5);
+}
+
+TEST(DriveDiagnosis, AVelocityReadingWillDo) {
+  Truth truth;
+  truth.extra = [](double, double v, int) { return 1.5e-3 * std::abs(v); };
+  std::vector<DriveRun> runs = simulate_set(truth, 308);
+  for (DriveRun& run : runs) {
+    run.velocity_rad_s.assign(run.size(), 0.0);
+    for (std::size_t i = 2; i + 2 < run.size(); ++i)
+      run.velocity_rad_s[i] =
+          (run.position_rad[i + 2] - run.position_rad[i - 2]) / (run.time_s[i + 2] - run.time_s[i - 2]);
+    run.position_rad.clear();
+  }
+  const Diagnosis diagnosis = diagnosed(runs);
+  EXPECT_THAT(names(diagnosis), ElementsAre("friction-asymmetry")) << diagnosis.summary;
+  const bool unseen =
+      std::any_of(diagnosis.unseen.begin(), diagnosis.unseen.end(), [](const UnseenEffect& effect) {
+        return effect.name == "load-position" && effect.reason.find("integrated") != std::string::npos;
+      });
+  EXPECT_TRUE(unseen);
+}
+
+TEST(DriveDiagnosis, FixedPartsStayAndSwitchedOffOnesAreNotTried) {
+  Truth truth;
+  truth.extra = [](double, double v, int) { return 1.5e-4 * v * std::abs(v); };
+  const auto runs = simulate_set(truth, 309);
+  const Diagnosis fixed = diagnosed(runs, drive("[model]\ninertia = 1e-3\n"));
+  EXPECT_EQ(find(fixed.parameters_after, "inertia").value, 1e-3);
+  EXPECT_TRUE(std::isnan(find(fixed.parameters_after, "inertia").sd));
+  EXPECT_THAT(names(fixed), ElementsAre("quadratic-drag"));
+  const Diagnosis off = diagnosed(runs, drive("[model]\nquadratic-drag = \"off\"\n"));
+  for (const CandidateSummary& summary : off.candidates) EXPECT_NE(summary.name, "quadratic-drag");
+  const Diagnosis asked = diagnosed(runs, drive("[model]\nquadratic-drag = \"estimate\"\n"));
+  EXPECT_THAT(names(asked), IsEmpty());
+  expect_within(find(asked.parameters_after, "quadratic-drag.drag"), 1.5e-4, 3.0, 2e-6);
+}
+
+TEST(DriveDiagnosis, ViewsAndProgressWhenAskedFor) {
+  const auto runs = simulate_set(Truth{}, 310, 2);
+  DiagnoseOptions options;
+  options.views = true;
+  double last = -1.0;
+  options.progress = [&](double share, const std::string&) {
+    EXPECT_GE(share, last);
+    last = share;
+  };
+  const Diagnosis diagnosis = diagnosed(runs, drive(), options);
+  EXPECT_EQ(last, 1.0);
+  ASSERT_EQ(diagnosis.views.size(), 2u);
+  const RunView& view = diagnosis.views.front();
+  EXPECT_GT(view.time_s.size(), 100u);
+  EXPECT_EQ(view.torque_Nm.size(), view.time_s.size());
+  EXPECT_EQ(view.position_rad.size(), view.time_s.size());
+  EXPECT_EQ(view.disturbance_before_Nm.size(), view.time_s.size());
+  EXPECT_EQ(view.disturbance_after_Nm, view.disturbance_before_Nm) << "no effect, no change";
+}
+
+TEST(DriveDiagnosis, RefusesWhatItCannotJudge) {
+  const auto message = [](const std::vector<DriveRun>& runs) {
+    const Result<Diagnosis> diagnosis = diagnose_drive(runs, drive(), {});
+    return diagnosis ? std::string() : diagnosis.error().message;
+  };
+  EXPECT_THAT(message({}), HasSubstr("no run"));
+  DriveRun run;
+  run.name = "short.csv";
+  run.time_s = {0.0, 1.0};
+  run.torque_Nm = run.position_rad = {0.0, 0.0};
+  EXPECT_THAT(message({run}), HasSubstr("short.csv: 2 rows are too few"));
+  for (int i = 2; i < 100; ++i) {
+    run.time_s.push_back(i);
+    run.torque_Nm.push_back(0.0);
+    run.position_rad.push_back(0.0);
+  }
+  EXPECT_THAT(message({run}), HasSubstr("stands still"));
+  run.position_rad.clear();
+  EXPECT_THAT(message({run}), HasSubstr("neither position nor velocity"));
+}
+
+TEST(DriveDiagnosis, OneDirectionCannotShowAnOffset) {
+  Truth truth;
+  std::vector<DriveRun> runs = simulate_set(truth, 311, 1);
+  // The first stretch before the drive turns.
+  std::size_t end = 500;
+  while (end < runs[0].size() && runs[0].position_rad[end] > runs[0].position_rad[end - 100]) ++end;
+  DriveRun& run = runs[0];
+  run.time_s.resize(end - 50);
+  run.torque_Nm.resize(end - 50);
+  run.position_rad.resize(end - 50);
+  const Diagnosis diagnosis = diagnosed(runs);
+  for (const NamedEffect& effect : diagnosis.effects) EXPECT_NE(effect.name, "torque-offset");
+  int unseen = 0;
+  for (const UnseenEffect& effect : diagnosis.unseen)
+    if (effect.name == "torque-offset" || effect.name == "friction-asymmetry") ++unseen;
+  EXPECT_EQ(unseen, 2);
+}
+
+}  // namespace
+}  // namespace clampd

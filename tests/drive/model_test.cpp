@@ -1,0 +1,124 @@
+#include "clampd/drive/model.hpp"
+
+#include <cmath>
+#include <filesystem>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace clampd {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+constexpr const char* kSmallest = R"([drive]
+kind = "rotary"
+[columns]
+time = "t"
+torque = "i"
+position = {column = "count", scale = 0.5, wrap = 8}
+)";
+
+std::string error_of(const std::string& text) {
+  const Result<DriveModel> model = parse_drive_model(text, "m.toml");
+  return model ? "" : model.error().message;
+}
+
+TEST(DriveModelFile, HasDefaultsForWhatItDoesNotSay) {
+  const Result<DriveModel> model = parse_drive_model(kSmallest, "m.toml");
+  ASSERT_TRUE(model) << model.error().message;
+  EXPECT_EQ(model->torque_unit, "N m");
+  EXPECT_FALSE(model->linear);
+  EXPECT_FALSE(model->steady);
+  EXPECT_TRUE(std::isnan(model->cut_off_Hz));
+  EXPECT_EQ(model->part(DriveTerm::Inertia).use, PartUse::Estimate);
+  EXPECT_EQ(model->part(DriveTerm::Cogging).use, PartUse::Candidate);
+  EXPECT_FALSE(model->columns.velocity);
+}
+
+TEST(DriveModelFile, SwitchesParts) {
+  const Result<DriveModel> model = parse_drive_model(
+      std::string(kSmallest) +
+          "[model]\ninertia = 2.5e-3\nviscous = \"off\"\ntorque-offset = \"estimate\"\ncogging = \"off\"\n"
+          "[data]\ncut_off_Hz = 40\ntorque_held = true\n",
+      "m.toml");
+  ASSERT_TRUE(model) << model.error().message;
+  EXPECT_EQ(model->part(DriveTerm::Inertia).use, PartUse::Fixed);
+  EXPECT_EQ(model->part(DriveTerm::Inertia).value, 2.5e-3);
+  EXPECT_EQ(model->part(DriveTerm::Viscous).use, PartUse::Off);
+  EXPECT_EQ(model->part(DriveTerm::TorqueOffset).use, PartUse::Estimate);
+  EXPECT_EQ(model->part(DriveTerm::Cogging).use, PartUse::Off);
+  EXPECT_EQ(model->cut_off_Hz, 40.0);
+  EXPECT_TRUE(model->torque_held);
+}
+
+TEST(DriveModelFile, SteadyRunsHaveNoInertiaUnlessAskedFor) {
+  const Result<DriveModel> model =
+      parse_drive_model(std::string(kSmallest) + "[data]\nsteady = true\n", "m.toml");
+  ASSERT_TRUE(model) << model.error().message;
+  EXPECT_EQ(model->part(DriveTerm::Inertia).use, PartUse::Off);
+}
+
+TEST(DriveModelFile, ErrorsNameFileLineAndKey) {
+  EXPECT_THAT(error_of("[drive\n"), StartsWith("m.toml:1:"));
+  EXPECT_THAT(error_of("[columns]\ntime=\"t\"\n"), HasSubstr("[drive] is missing"));
+  EXPECT_THAT(error_of("[drive]\nkind = \"round\"\n"), StartsWith("m.toml:2:"));
+  EXPECT_THAT(error_of("[drive]\nkind = \"round\"\n"), HasSubstr("\"rotary\" or \"linear\""));
+  EXPECT_THAT(
+      error_of(std::string(kSmallest) + "[model]\nfriction = \"off\"\n"),
+      ::testing::AllOf(StartsWith("m.toml:8:"), HasSubstr("unknown key friction"), HasSubstr("coulomb")));
+  EXPECT_THAT(error_of(std::string(kSmallest) + "[model]\ncogging = 3\n"),
+              ::testing::AllOf(StartsWith("m.toml:8:"), HasSubstr("cogging must be \"candidate\"")));
+  EXPECT_THAT(error_of(std::string(kSmallest) + "[model]\ncoulomb = \"candidate\"\n"),
+              HasSubstr("coulomb must be \"estimate\""));
+  EXPECT_THAT(error_of(std::string(kSmallest) + "[data]\ncut_off_Hz = -3\n"), HasSubstr("cut_off_Hz"));
+  EXPECT_THAT(error_of(std::string(kSmallest) + "[data]\nsteady = \"yes\"\n"), HasSubstr("true or false"));
+  EXPECT_THAT(error_of("[drive]\nkind=\"linear\"\n[columns]\ntime=\"t\"\ntorque=\"u\"\n"),
+              HasSubstr("columns.position or columns.velocity"));
+  EXPECT_THAT(error_of("[drive]\nkind=\"linear\"\n[columns]\ntime=\"t\"\ntorque=\"t\"\nposition=\"x\"\n"),
+              HasSubstr("used twice"));
+  EXPECT_THAT(error_of("[drive]\nkind=\"linear\"\n[columns]\ntime=\"t\"\ntorque={scale=2}\nposition=\"x\"\n"),
+              HasSubstr("columns.torque needs column"));
+}
+
+TEST(DriveModelFile, EveryShippedOneReads) {
+  int files = 0;
+  for (const auto& entry : std::filesystem::directory_iterator(CLAMPD_SOURCE_DIR "/configs/drives")) {
+    const Result<DriveModel> model = read_drive_model(entry.path().string());
+    EXPECT_TRUE(model) << model.error().message;
+    ++files;
+  }
+  EXPECT_GE(files, 4);
+}
+
+TEST(ForeignColumns, AreScaledAndUnwrappedAndMayBeMissing) {
+  const Result<DriveModel> model = parse_drive_model(kSmallest, "m.toml");
+  ASSERT_TRUE(model);
+  const Result<LoadedRun> loaded =
+      parse_run("i,t,other,count\n1,0,9,6\n2,1,9,7.5\n3,2,9,1\n4,3,9,7\n", "r.csv", model->columns);
+  ASSERT_TRUE(loaded) << loaded.error().message;
+  EXPECT_THAT(loaded->run.torque_Nm, ElementsAre(1, 2, 3, 4));
+  EXPECT_THAT(loaded->run.position_rad, ElementsAre(3, 3.75, 4.5, 3.5));
+  EXPECT_TRUE(loaded->run.velocity_rad_s.empty());
+  EXPECT_TRUE(loaded->run.force_N.empty());
+  EXPECT_THAT(loaded->notices, ElementsAre(HasSubstr("\"other\" is ignored")));
+}
+
+TEST(ForeignColumns, KeepTheMessagesOfRunFiles) {
+  const Result<DriveModel> model = parse_drive_model(kSmallest, "m.toml");
+  ASSERT_TRUE(model);
+  const auto message = [&](const char* text) {
+    const Result<LoadedRun> loaded = parse_run(text, "r.csv", model->columns);
+    return loaded ? std::string() : loaded.error().message;
+  };
+  EXPECT_THAT(message(""), HasSubstr("expected a header with t,i,count"));
+  EXPECT_THAT(message("t,i\n0,1\n"), HasSubstr("column count is missing"));
+  EXPECT_THAT(message("t,i,count\n0,1,x\n"), StartsWith("r.csv:2:5: count is not a finite number"));
+  EXPECT_THAT(message("t,i,count\n0,1,2\n0,1,2\n"), HasSubstr("t does not increase"));
+}
+
+}  // namespace
+}  // namespace clampd
