@@ -12,7 +12,7 @@ namespace clampd {
 
 namespace {
 
-constexpr std::ptrdiff_t kMaxRivals = 3;
+constexpr std::ptrdiff_t kMaxRivalsListed = 3;
 /// Expected of one round; three rounds of it settle most doubts, and a wrong decision it makes none.
 constexpr double kWorthIt_nats = 4.0;
 
@@ -47,7 +47,7 @@ NextStep next_step_for(const Diagnosis& diagnosis, const BrakeParameters& nomina
   for (const std::vector<Diagnosis::Rival>& group : diagnosis.rival_models) {
     if (group.size() < 2) continue;
     std::vector<Diagnosis::Rival> rivals(group.begin(),
-                                         group.begin() + std::min(std::ssize(group), kMaxRivals));
+                                         group.begin() + std::min(std::ssize(group), kMaxRivalsListed));
     Result<Discrimination> design = design_between(rivals, diagnosis.noise_after, nominal, runs_so_far);
     std::string words = design ? design->why : design.error().message;
     if (design && !design->settles && rivals.size() > 2) {
