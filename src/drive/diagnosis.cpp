@@ -322,6 +322,9 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   progress(0.0, "readings");
   std::vector<Run> all(runs.begin(), runs.end());
   all.insert(all.end(), options.heldout.begin(), options.heldout.end());
+  for (const Run& run : all)
+    if (run.size() < kLeastSamples)
+      return failure(fmt::format("{}: {} rows are too few; a drive's run needs {}", run.name, run.size(), kLeastSamples));
   Result<CheckedData> checked = check_data(all, model);
   if (!checked) return tl::unexpected(checked.error());
   if (checked->stops()) return failure(stop_message(*checked));

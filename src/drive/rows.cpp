@@ -43,7 +43,6 @@ struct RowsBuilder {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr std::size_t kLeastSamples = 20;
 /// More rows than this tell a model of some twenty coefficients nothing new; the cut-off is lowered instead.
 constexpr double kMostRows = 40'000.0;
 constexpr double kHighestCutOff = 0.12;    ///< of the sampling rate: the filter is then a sample wide, and its derivatives are true

@@ -13,6 +13,9 @@
 
 namespace clampd::drive {
 
+/// Of a run; fewer tell nothing.
+inline constexpr std::size_t kLeastSamples = 20;
+
 /// One run's motion, sample by sample (or average by average).
 struct DriveMotion {
   std::vector<double> time_s;  ///< since the run began

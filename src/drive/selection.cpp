@@ -437,6 +437,22 @@ bool Selector::difference_is_certain(const TorqueModel& better, const TorqueMode
   return difference.count > 0 && difference.mean > kCertain * difference.error;
 }
 
+/// Dry friction that differs by direction and a constant torque are the same while the drive slides: the constant comes first.
+void Selector::prefer_the_constant(TorqueModel& model) {
+  for (std::size_t p = 0; p < model.parts.size(); ++p) {
+    const Variant& part = model.parts[p];
+    const bool dry_only = part.term == DriveTerm::FrictionAsymmetry && part.functions.size() == 1 &&
+                          part.functions.front().factor == BasisFunction::Factor::One;
+    if (!dry_only || is_base(part)) continue;
+    for (const Variant& variant : pool_)
+      if (variant.term == DriveTerm::TorqueOffset)
+        if (TorqueModel other = with(without(model, p), variant); other.ok() && other.evidence > model.evidence - kRivalNats) {
+          model = std::move(other);
+          return;
+        }
+  }
+}
+
 void Selector::find_rivals(Selection& selection) {
   const TorqueModel& best = selection.best;
   for (std::size_t p = 0; p < best.parts.size(); ++p) {
@@ -489,6 +505,7 @@ Selection Selector::run(const std::function<void(double)>& progress) {
       if (!drop_what_is_no_longer_needed(selection.best) && !swapped) break;
     }
   }
+  prefer_the_constant(selection.best);
   find_rivals(selection);
   return selection;
 }

@@ -85,6 +85,7 @@ class Selector {
   bool drop_what_is_no_longer_needed(TorqueModel& model);
   bool swap(TorqueModel& model);
   bool difference_is_certain(const TorqueModel& better, const TorqueModel& other) const;
+  void prefer_the_constant(TorqueModel& model);
   void find_rivals(Selection& selection);
   TorqueModel without(const TorqueModel& model, std::size_t part);
   TorqueModel with(const TorqueModel& model, const Variant& variant);

@@ -168,9 +168,9 @@ TEST(DriveDiagnosis, FindsTwoEffects) {
 TEST(DriveDiagnosis, WhatIsNotOnTheListHasNoName) {
   Truth bump;
   bump.extra = [](double q, double, int) { return 0.06 * std::exp(-(q - 3.0) * (q - 3.0) / 4.0); };
-  Truth root;
-  root.extra = [](double, double v, int) { return 0.05 * std::cbrt(v) - 0.008 * v; };
-  for (const auto& [truth, variable] : {std::pair{bump, "position"}, {root, "velocity"}}) {
+  Truth resonance;  // a torque at one speed only
+  resonance.extra = [](double, double v, int) { return std::copysign(0.06, v) * std::exp(-std::pow((std::abs(v) - 14.0) / 2.0, 2)); };
+  for (const auto& [truth, variable] : {std::pair{bump, "position"}, {resonance, "velocity"}}) {
     const Diagnosis diagnosis = diagnosed(simulate_set(truth, 303));
     EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Unexplained) << diagnosis.summary;
     EXPECT_THAT(names(diagnosis), IsEmpty());
