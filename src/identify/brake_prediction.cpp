@@ -12,7 +12,7 @@
 namespace clampd {
 namespace {
 
-RowInput row_input(const FitRun& run, std::size_t k) {
+RowInput input_at(const FitRun& run, std::size_t k) {
   const std::size_t last = run.size() - 1;
   return {.previous_torque_Nm = run.torque_Nm[k > 0 ? k - 1 : 0],
           .torque_Nm = run.torque_Nm[k],
@@ -47,7 +47,7 @@ double position_of_force(const ExtendedBrake& brake, double force_N, double velo
 ExtendedBrake::State initial_state(const ExtendedBrake& brake, const FitRun& run, const Run& recorded) {
   // Few enough that the brake does not move meanwhile, and enough to average the noise.
   const std::size_t rows = std::min<std::size_t>(5, run.size());
-  const RowInput first = row_input(run, 0);
+  const RowInput first = input_at(run, 0);
   const double velocity = mean_of_first(run.velocity_rad_s, rows), force = mean_of_first(run.force_N, rows);
   const auto [least, most] = std::ranges::minmax(run.force_N);
   constexpr double kTouching = 0.02;  // of the run's forces: less is the reading's noise and offset
@@ -95,10 +95,10 @@ Result<std::vector<PredictedRun>> predict_brake(std::span<const Run> runs, const
         result.diverged_s = run.time_s[k];
         break;
       }
-      const Reading reading = brake.read(state, row_input(run, k));
+      const Reading reading = brake.read(state, input_at(run, k));
       if (run.use_force[k] != 0) force.predicted[k] = reading.force_N;
       if (run.use_velocity[k] != 0) velocity.predicted[k] = reading.velocity_rad_s;
-      if (k + 1 < run.size()) state = brake.advance(state, row_input(run, k));
+      if (k + 1 < run.size()) state = brake.advance(state, input_at(run, k));
     }
     result.quantities = {std::move(force), std::move(velocity)};
     predicted.push_back(std::move(result));
