@@ -270,7 +270,7 @@ Case draw_case(std::uint64_t seed, const std::string& effect) {
   hide(c, choice.first, random);
   hide(c, choice.second, random);
   finish_bad_data(c, random);
-  const double wish = random.log_uniform(0.005, 0.03);
+  const double wish = random.log_uniform(0.01, 0.03);
   c.good_enough = c.kind != Kind::BadData && random.chance(0.5) ? wish : 0.0;
   c.in_amperes = random.chance(0.2);
   c.torque_constant = c.in_amperes ? random.log_uniform(0.02, 2.0) : 1.0;
