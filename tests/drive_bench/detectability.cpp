@@ -63,7 +63,8 @@ Data gather(const Case& c, const std::vector<Recording>& runs) {
   return data;
 }
 
-/// Running mean over half a period of the band's edge, twice (a triangle): what is slower stays.
+/// Running mean over half a period of the band's edge, twice (a triangle): what is slower stays. Thinned to
+/// what the band needs.
 Eigen::VectorXd within_band(const Case& c, const Data& data, const Eigen::VectorXd& values) {
   const auto half = static_cast<std::ptrdiff_t>(std::floor(0.125 / (c.band_Hz * c.rig.row_s())));
   if (half < 1) return values;
@@ -81,7 +82,10 @@ Eigen::VectorXd within_band(const Case& c, const Data& data, const Eigen::Vector
       }
     }
   }
-  return result;
+  const auto every = std::max<std::ptrdiff_t>(1, half);  // four times as many as the band's edge needs
+  Eigen::VectorXd thinned((result.size() + every - 1) / every);
+  for (Eigen::Index k = 0; k < thinned.size(); ++k) thinned[k] = result[k * every];
+  return thinned;
 }
 
 double noise_variance(const Case& c) {
@@ -142,9 +146,8 @@ class LeastSquares {
     Fit fit;
     fit.rows = data_.rows.size();
     if (fit.rows == 0) return fit;
-    const double left = rest().squaredNorm() / static_cast<double>(fit.rows);
-    fit.share_left =
-        std::sqrt(left / std::max(torque_.squaredNorm() / static_cast<double>(fit.rows), 1e-300));
+    const double left = rest().squaredNorm() / static_cast<double>(torque_.size());
+    fit.share_left = std::sqrt(left) / std::max(torque_rms(), 1e-150);
     const double independent =
         static_cast<double>(fit.rows) * std::min(1.0, 2.0 * case_.band_Hz * case_.rig.row_s());
     fit.nats = 0.5 * independent * left /

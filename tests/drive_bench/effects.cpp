@@ -147,21 +147,13 @@ void inertia_over_position(Case& c, Random& random, double, Hidden& h) {
   h.values["wave-number"] = wave_number;
 }
 
-std::vector<std::vector<double>> slow_torque(const Case& c, Random& random, double amplitude) {
-  std::vector<std::vector<double>> runs;
-  const auto ticks = static_cast<std::size_t>(std::llround(c.motion.duration_s / c.rig.tick_s));
-  for (int run = 0; run < c.runs; ++run) {
-    std::vector<double> torque(ticks, 0.0);
-    const double mean = amplitude * random.uniform(-0.5, 0.5);
-    for (int sine = 0; sine < 4; ++sine) {
-      const double w = kTau * c.motion.frequency_Hz * random.log_uniform(0.2, 1.7), phase = random.phase();
-      for (std::size_t k = 0; k < ticks; ++k)
-        torque[k] += (sine == 0 ? mean : 0.0) +
-                     0.6 * amplitude * std::sin(w * static_cast<double>(k) * c.rig.tick_s + phase);
-    }
-    runs.push_back(std::move(torque));
-  }
-  return runs;
+LoadSignal slow_torque(const Case& c, Random& random, double amplitude) {
+  LoadSignal load;
+  load.amplitude = amplitude;
+  load.slowest_Hz = 0.2 * c.motion.frequency_Hz;
+  load.fastest_Hz = 1.7 * c.motion.frequency_Hz;
+  load.seed = c.seed + static_cast<std::uint64_t>(random.integer(1, 1'000'000'000));
+  return load;
 }
 void load_column(Case& c, Random& random, double size, Hidden& h) {
   const double amplitude = h.values["amplitude"] = 1.5 * size * c.torque_scale;
@@ -186,21 +178,11 @@ void sticky_place(Case& c, Random& random, double size, Hidden& h) {
   c.rig.torque_limit += 2.0 * c.plant.sticky_level;
 }
 void random_walk(Case& c, Random& random, double size, Hidden& h) {
-  const auto ticks = static_cast<std::size_t>(std::llround(c.motion.duration_s / c.rig.tick_s));
-  const double memory_s = random.uniform(0.3, 2.0) / c.motion.frequency_Hz,
-               keep = std::exp(-c.rig.tick_s / memory_s);
-  const double sd = h.values["sd"] = 1.3 * size * c.torque_scale;
-  h.values["memory"] = memory_s;
-  for (int run = 0; run < c.runs; ++run) {
-    std::vector<double> torque(ticks);
-    double value = sd * random.normal();
-    for (double& each : torque) {
-      each = value;
-      value = keep * value + sd * std::sqrt(1.0 - keep * keep) * random.normal();
-    }
-    c.plant.hidden_load.push_back(std::move(torque));
-  }
-  c.rig.torque_limit += 3.0 * sd;
+  LoadSignal& load = c.plant.hidden_load;
+  load.walk_sd = h.values["sd"] = 1.3 * size * c.torque_scale;
+  load.walk_memory_s = h.values["memory"] = random.uniform(0.3, 2.0) / c.motion.frequency_Hz;
+  load.seed = c.seed + static_cast<std::uint64_t>(random.integer(1, 1'000'000'000));
+  c.rig.torque_limit += 3.0 * load.walk_sd;
 }
 void coupling_torque(Case& c, Random& random, double size, Hidden& h) {
   const double amplitude = h.values["amplitude"] = 1.5 * size * c.torque_scale;

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
@@ -36,6 +37,7 @@ struct Options {
   std::string half = "both", kind, keep, failures;
   std::vector<std::string> write;
   int threads = 1;
+  double minutes = 1e9;
   bool list = false, summary = false;
   JudgeOptions judge;
 };
@@ -261,10 +263,13 @@ std::string folder_for(std::uint64_t seed, const Options& options) {
 
 std::vector<Score> judge_all(const std::vector<std::uint64_t>& seeds, const Options& options) {
   std::vector<Score> scores(seeds.size());
+  std::vector<bool> judged(seeds.size(), false);
   std::atomic<std::size_t> next{0}, done{0};
+  const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(60.0 * options.minutes);
   std::mutex mutex;
   const auto work = [&] {
     for (std::size_t i = next++; i < seeds.size(); i = next++) {
+      if (std::chrono::steady_clock::now() > end) return;
       const std::string folder = folder_for(seeds[i], options);
       scores[i] = judge(seeds[i], options.judge, folder);
       Score& score = scores[i];
@@ -272,9 +277,8 @@ std::vector<Score> judge_all(const std::vector<std::uint64_t>& seeds, const Opti
         std::ofstream(fs::path(folder) / "answer.json") << answer_json(score.drawn);
       else
         fs::remove_all(folder);
-      score.drawn.plant.hidden_load.clear();  // large, and no longer needed
-      score.drawn.plant.measured_load.clear();
       const std::lock_guard lock(mutex);
+      judged[i] = true;
       if (options.list) fmt::print("{}", describe(score)), std::fflush(stdout);
       if (++done; isatty(STDERR_FILENO)) fmt::print(stderr, "\r{}/{} ", done.load(), seeds.size());
     }
@@ -283,7 +287,10 @@ std::vector<Score> judge_all(const std::vector<std::uint64_t>& seeds, const Opti
   for (int i = 1; i < options.threads; ++i) workers.emplace_back(work);
   work();
   for (std::thread& worker : workers) worker.join();
-  return scores;
+  std::vector<Score> finished;
+  for (std::size_t i = 0; i < scores.size(); ++i)
+    if (judged[i]) finished.push_back(std::move(scores[i]));
+  return finished;
 }
 
 void report_half(const std::vector<Score>& scores, const char* title, const Options& options,
@@ -376,6 +383,7 @@ int run(int argc, char** argv) {
   app.add_option("--effect", options.judge.effect,
                  "only sets that hide this one, e.g. cogging or friction-power/below-one");
   app.add_option("--threads", options.threads, "sets at a time, one thread each")->check(CLI::Range(1, 64));
+  app.add_option("--minutes", options.minutes, "of each half; then the sets that are done are reported");
   app.add_option("--clampctl", options.judge.program, "the program under test")->check(CLI::ExistingFile);
   app.add_option("--limit", options.judge.limit_s, "seconds that a diagnosis may take");
   app.add_option("--keep", options.keep, "folder in which the files of failed sets stay");

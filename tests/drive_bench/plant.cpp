@@ -4,6 +4,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "tests/drive_bench/random.hpp"
+
 namespace clampd::drive_bench {
 namespace {
 
@@ -79,6 +81,26 @@ double after_friction(double free_velocity, double impulse_velocity) {
 }
 
 }  // namespace
+
+std::vector<double> by_tick(const LoadSignal& load, std::size_t run, std::size_t ticks, double tick_s) {
+  if (!load.is_there()) return {};
+  Random random(load.seed, run);
+  std::vector<double> torque(ticks, load.amplitude * random.uniform(-0.5, 0.5));
+  for (int sine = 0; sine < 4 && load.amplitude != 0.0; ++sine) {
+    const double w = 2.0 * std::numbers::pi * random.log_uniform(load.slowest_Hz, load.fastest_Hz);
+    const double phase = random.phase();
+    for (std::size_t k = 0; k < ticks; ++k)
+      torque[k] += 0.6 * load.amplitude * std::sin(w * static_cast<double>(k) * tick_s + phase);
+  }
+  if (load.walk_sd == 0.0) return torque;
+  const double keep = std::exp(-tick_s / load.walk_memory_s);
+  double value = load.walk_sd * random.normal();
+  for (double& each : torque) {
+    each += value;
+    value = keep * value + load.walk_sd * std::sqrt(1.0 - keep * keep) * random.normal();
+  }
+  return torque;
+}
 
 double gravity_torque(const Plant& plant, double position) {
   return plant.linear ? plant.gravity : plant.gravity * std::sin(position + plant.gravity_phase);

@@ -1,8 +1,24 @@
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
 #include <vector>
 
 namespace clampd::drive_bench {
+
+/// A torque against the drive that is a function of time: slow sines about a mean, or noise with a memory.
+/// Each run has its own.
+struct LoadSignal {
+  double amplitude = 0.0;  ///< of the sines, about; 0: none
+  double slowest_Hz = 0.0, fastest_Hz = 0.0;
+  double walk_sd = 0.0;  ///< standard deviation of the noise; 0: none
+  double walk_memory_s = 1.0;
+  std::uint64_t seed = 0;
+
+  bool is_there() const { return amplitude != 0.0 || walk_sd != 0.0; }
+};
+/// One value a control tick; empty if there is none.
+std::vector<double> by_tick(const LoadSignal& load, std::size_t run, std::size_t ticks, double tick_s);
 
 /// The true drive. Everything is in SI units of the drive's kind: rad, N m, kg m^2 or m, N, kg; "torque"
 /// stands for both. What is not said is absent. The equation of motion is
@@ -61,11 +77,9 @@ struct Plant {
   double chatter_Hz = 0.0;
   double chatter_from = 0.0;
   double chatter_to = 0.0;
-  /// Torque per control tick that nobody records, by run: a colleague axis, a random walk. Opposes the drive.
-  std::vector<std::vector<double>> hidden_load;
+  LoadSignal hidden_load;  ///< that nobody records: a colleague axis, a random walk
 
-  /// Torque per control tick that a column of the files holds, by run.
-  std::vector<std::vector<double>> measured_load;
+  LoadSignal measured_load;  ///< that a column of the files holds
 };
 
 struct PlantState {

@@ -7,8 +7,8 @@
 namespace clampd::drive_bench {
 namespace {
 
-double at(const std::vector<std::vector<double>>& by_run, std::size_t run, std::size_t tick) {
-  return run < by_run.size() && tick < by_run[run].size() ? by_run[run][tick] : 0.0;
+double at(const std::vector<double>& by_tick, std::size_t tick) {
+  return tick < by_tick.size() ? by_tick[tick] : 0.0;
 }
 
 /// What is known at a control tick, and sums over the steps until the next.
@@ -17,6 +17,7 @@ struct Tick {
   double measured_position = 0.0, measured_velocity = 0.0;
   double command = 0.0;  ///< that acts from here
   double mean_torque = 0.0, mean_direction = 0.0;
+  double measured_load = 0.0;
   bool stuck = false;
 };
 
@@ -81,6 +82,8 @@ std::vector<Tick> simulate(const Plant& plant, const Rig& rig, const Motion& mot
   const double smooth = -std::expm1(-4.0 * rig.bandwidth_rad_s * rig.tick_s);
   double last = 0.0, estimate = state.velocity, torque = 0.0;
   std::vector<Tick> ticks(motion.position.size());
+  const std::vector<double> hidden_load = by_tick(plant.hidden_load, run, ticks.size(), rig.tick_s);
+  const std::vector<double> measured_load = by_tick(plant.measured_load, run, ticks.size(), rig.tick_s);
   for (std::size_t k = 0; k < ticks.size(); ++k) {
     Tick& tick = ticks[k];
     tick.position = state.position;
@@ -94,10 +97,11 @@ std::vector<Tick> simulate(const Plant& plant, const Rig& rig, const Motion& mot
     const bool tachometer = rig.velocity_column == VelocityColumn::Tachometer;
     tick.command =
         controller.command(k, tick.measured_position, tachometer ? tick.measured_velocity : estimate);
-    const double measured = at(plant.measured_load, run, k), load = measured + at(plant.hidden_load, run, k);
+    tick.measured_load = at(measured_load, k);
+    const double load = tick.measured_load + at(hidden_load, k);
     for (int step = 0; step < steps; ++step) {
       torque += follow * (tick.command - torque);
-      const DryFriction dry = advance(plant, state, torque, load, measured, run, step_s);
+      const DryFriction dry = advance(plant, state, torque, load, tick.measured_load, run, step_s);
       tick.mean_torque += torque / steps;
       tick.mean_direction += dry.direction / steps;
       tick.stuck = tick.stuck || dry.stuck;
@@ -136,8 +140,7 @@ void write_row(const Rig& rig, const std::vector<Tick>& ticks, std::size_t row, 
   recording.velocity.push_back(velocity);
 }
 
-Recording::Truth truth_of(const Plant& plant, const Rig& rig, const std::vector<Tick>& ticks, std::size_t row,
-                          std::size_t run) {
+Recording::Truth truth_of(const Rig& rig, const std::vector<Tick>& ticks, std::size_t row) {
   const auto n = static_cast<std::size_t>(rig.ticks_per_row);
   const std::size_t k = row * n;
   const double row_s = rig.row_s();
@@ -149,7 +152,7 @@ Recording::Truth truth_of(const Plant& plant, const Rig& rig, const std::vector<
   for (std::size_t i = k; i < k + n; ++i) {
     truth.torque += ticks[i].mean_torque / static_cast<double>(n);
     truth.direction += ticks[i].mean_direction / static_cast<double>(n);
-    truth.load += at(plant.measured_load, run, i) / static_cast<double>(n);
+    truth.load += ticks[i].measured_load / static_cast<double>(n);
     truth.stuck = truth.stuck || ticks[i].stuck;
   }
   truth.torque += rig.torque_offset;
@@ -165,8 +168,8 @@ Recording record(const Plant& plant, const Rig& rig, const Motion& motion, std::
   std::vector<Recording::Truth> truth;
   for (std::size_t row = 1; row + 1 < rows; ++row) {
     write_row(rig, ticks, row, recording);
-    truth.push_back(truth_of(plant, rig, ticks, row, run));
-    if (!plant.measured_load.empty())
+    truth.push_back(truth_of(rig, ticks, row));
+    if (plant.measured_load.is_there())
       recording.load.push_back(truth.back().load + 0.3 * rig.torque_noise * noise.normal());
   }
   const auto count = static_cast<int>(recording.torque.size());
