@@ -184,15 +184,28 @@ std::vector<double> Design::left_out(const Fit& fit) const {
       rest_right -= block_right;
     }
     const Solution others = solved(rest, rest_right);
-    if (!others.ok) return {};
-    for (Eigen::Index j = 0; j < rest.rows(); ++j)
-      if (others.inverse(j, j) > kLostInformation * all.inverse(j, j)) return {};
-    for (int b = fold; b < fitted_blocks_; b += kFolds) {
+    bool known = others.ok;
+    for (Eigen::Index j = 0; known && j < rest.rows(); ++j) known = others.inverse(j, j) < kLostInformation * all.inverse(j, j);
+    for (int b = fold; !known && b < fitted_blocks_; b += kFolds)
+      result[static_cast<std::size_t>(b)] = std::numeric_limits<double>::quiet_NaN();
+    for (int b = fold; known && b < fitted_blocks_; b += kFolds) {
       products_of(fit, b, block_gram, block_right, block_square);
       result[static_cast<std::size_t>(b)] =
           std::max(0.0, block_square - 2.0 * others.coefficients.dot(block_right) +
                             others.coefficients.dot(block_gram * others.coefficients));
     }
+  }
+  return result;
+}
+
+std::vector<double> Design::fitted_squares(const Fit& fit) const {
+  std::vector<double> result;
+  Eigen::MatrixXd gram;
+  Eigen::VectorXd right;
+  double square = 0.0;
+  for (int b = 0; b < fitted_blocks_; ++b) {
+    products_of(fit, b, gram, right, square);
+    result.push_back(std::max(0.0, square - 2.0 * fit.coefficients.dot(right) + fit.coefficients.dot(gram * fit.coefficients)));
   }
   return result;
 }

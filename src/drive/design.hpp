@@ -37,8 +37,10 @@ class Design {
   void set_known(Eigen::VectorXd known) { known_ = std::move(known); }
 
   Fit fit(std::vector<int> columns, int target) const;
-  /// Whitened squares that fits to the other folds leave, block by block. Empty if some fold cannot be judged by the others.
+  /// Whitened squares that fits to the other folds leave, block by block; NaN where the other folds hardly know some coefficient.
   std::vector<double> left_out(const Fit& fit) const;
+  /// Of the fit to all, block by block.
+  std::vector<double> fitted_squares(const Fit& fit) const;
   /// Of each block that takes part in no fit.
   std::vector<double> held_out(const Fit& fit) const;
   /// -ln p of Hotelling's test that the last `count` coefficients are zero, by the scatter among blocks.

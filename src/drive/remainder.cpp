@@ -160,9 +160,14 @@ double left_square(const Design& design, const TorqueModel& model) {
   if (rows > 0.0) return heldout / rows;
   // The whitened squares say by how much a fit to the others does worse; the same factor holds for the rows themselves.
   const std::vector<double> left = design.left_out(model.fit);
-  double sum = 0.0;
-  for (const double each : left) sum += each;
-  const double factor = left.empty() ? 1.0 : std::max(1.0, sum / model.fit.square);
+  const std::vector<double> fitted = design.fitted_squares(model.fit);
+  double sum = 0.0, same = 0.0;
+  for (std::size_t b = 0; b < left.size(); ++b) {
+    if (std::isnan(left[b])) continue;
+    sum += left[b];
+    same += fitted[b];
+  }
+  const double factor = same > 0.0 ? std::max(1.0, sum / same) : 1.0;
   return mean_square(design, residuals, false) * factor;
 }
 

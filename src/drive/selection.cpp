@@ -25,18 +25,25 @@ constexpr double kOverwhelmingNats = 25.0;
 
 struct Paired {
   double mean = 0.0, error = 0.0;
+  double second = 0.0;  ///< sum of what the second leaves
   int count = 0;
 };
 
-/// Of what the second leaves less what the first leaves, block by block.
+/// Of what the second leaves less what the first leaves, block by block, where both can be judged.
 Paired paired(const std::vector<double>& first, const std::vector<double>& second) {
   Paired result;
-  if (first.size() != second.size() || first.size() < 3) return result;
-  result.count = static_cast<int>(first.size());
-  const auto count = static_cast<double>(first.size());
-  for (std::size_t b = 0; b < first.size(); ++b) result.mean += (second[b] - first[b]) / count;
+  std::vector<double> differences;
+  for (std::size_t b = 0; b < std::min(first.size(), second.size()); ++b) {
+    if (std::isnan(first[b]) || std::isnan(second[b])) continue;
+    differences.push_back(second[b] - first[b]);
+    result.second += second[b];
+  }
+  if (differences.size() < 3) return {};
+  const auto count = static_cast<double>(differences.size());
+  result.count = static_cast<int>(differences.size());
+  for (const double each : differences) result.mean += each / count;
   double square = 0.0;
-  for (std::size_t b = 0; b < first.size(); ++b) square += std::pow(second[b] - first[b] - result.mean, 2);
+  for (const double each : differences) square += std::pow(each - result.mean, 2);
   result.error = std::sqrt(square / (count - 1.0) / count);
   return result;
 }
@@ -275,7 +282,7 @@ Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& 
   }
   judgement.significance_nats = std::min(by_likelihood, by_blocks) - std::log(std::max(1.0, added.alternatives));
   judgement.material = difference.count > 0 && difference.mean > kCertain * difference.error &&
-                       difference.mean * difference.count > kLeastTaken * sum(left_less);
+                       difference.mean * difference.count > kLeastTaken * difference.second;
   const double square = design_.residuals(less.fit).squaredNorm(), taken = square - design_.residuals(more.fit).squaredNorm();
   const bool enough = square < std::pow(model_.good_enough * variation_, 2);
   judgement.material = judgement.material && taken > (enough ? kLeastTakenBeyond : kLeastTaken) * square;
