@@ -69,15 +69,21 @@ class ForwardSimulation {
     for (const DriveRegressor& regressor : drive.model.regressors)
       for (const RunColumn& column : run.others)
         if (column.name == regressor.name) recorded_.push_back(&column.values);
-    fastest_ = 0.0;
     const std::vector<double> velocity =
         run.velocity_rad_s.empty() ? differences_of(run) : run.velocity_rad_s;
     for (const double v : velocity) fastest_ = std::max(fastest_, std::abs(v));
     double largest = 0.0;
     for (const double x : run.position_rad) largest = std::max(largest, std::abs(x));
-    // A simulation that has gone a thousand times as far as the drive ever did tells no more.
-    farthest_ = 1e3 * (largest + fastest_ * (run.time_s.back() - run.time_s.front()));
-    longest_step_s_ = 0.2 * viscous_time_s();
+    // What the torque could reach without any friction; a thousand times that is no motion but a simulation
+    // that left all bounds.
+    double strongest = 0.0;
+    for (const double torque : run.torque_Nm) strongest = std::max(strongest, std::abs(torque));
+    const double duration_s = run.time_s.back() - run.time_s.front();
+    const double inertia = needed(1.0, 0.0, {}) - needed(0.0, 0.0, {});
+    const double recorded = fastest_;
+    fastest_ = std::max(fastest_, strongest / inertia * duration_s);
+    farthest_ = 1e3 * (largest + fastest_ * duration_s);
+    longest_step_s_ = 0.2 * viscous_time_s(recorded > 0.0 ? recorded : fastest_);
   }
 
   /// One row on; false: it left all bounds.
@@ -131,13 +137,13 @@ class ForwardSimulation {
     motion.position += step_s * motion.velocity;
   }
 
-  /// Inertia over viscous friction at the run's highest speed.
-  double viscous_time_s() {
+  /// Inertia over viscous friction at a speed.
+  double viscous_time_s(double speed) {
     const Motion rest;
     state_.velocity = 0.0;
     const double still = needed(0.0, 0.0, rest), inertia = needed(1.0, 0.0, rest) - still;
-    state_.velocity = fastest_;
-    const double viscous = std::abs(needed(0.0, 0.0, rest) - still) / std::max(fastest_, 1e-300);
+    state_.velocity = speed;
+    const double viscous = std::abs(needed(0.0, 0.0, rest) - still) / std::max(speed, 1e-300);
     return viscous > 0.0 ? inertia / viscous : std::numeric_limits<double>::infinity();
   }
 
