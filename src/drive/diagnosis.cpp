@@ -419,7 +419,7 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
         diagnosis.effects.empty()
             ? fmt::format("{}: no known effect explains the torque; {:.3g} % of its variation is left, and that {}.", model.name,
                           100.0 * rest.share, rest_words(rest, left, units))
-            : fmt::format("{}: {}: left of the torque's variation {}. The rest, {:.3g} %, {}.", model.name, listed(words), share,
+            : fmt::format("{}: {}. Left: {}. The rest, {:.3g} %, {}.", model.name, listed(words), share,
                           100.0 * rest.share, rest_words(rest, left, units));
   } else {
     diagnosis.verdict = diagnosis.rivals.empty() ? DiagnosisVerdict::Explained : DiagnosisVerdict::Ambiguous;

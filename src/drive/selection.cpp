@@ -472,7 +472,8 @@ void Selector::find_rivals(Selection& selection) {
     std::vector<std::string> group{best.parts[p].name};
     for (const auto& [name, variants] : by_name) {
       const Trial other = trial(smaller, variants);
-      if (!other.acceptable()) continue;
+      // Between rivals the posterior decides, not whether each of them alone would have raised the alarm.
+      if (!other.material || !other.impossible.empty() || other.significance_nats < critical(1.0) - kRivalNats) continue;
       TorqueModel alternative = with(smaller, other.variant);
       if (other.evidence > -kOverwhelmingNats && free_shape(other.variant) != nullptr) alternative = refined(alternative, other.variant.term);
       // What needs more numbers and does not fit better for them says nothing of its own.
