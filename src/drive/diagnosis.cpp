@@ -244,6 +244,7 @@ void add_ladder(const Selection& selection, Selector& selector, const Design& de
 NamedEffect named(const Variant& effect, const Selection& selection, Selector& selector, const Estimate& estimate) {
   NamedEffect result;
   result.name = effect.name;
+  result.words = words_of(effect.term);
   result.location = effect.term == DriveTerm::TorqueLag ? Location::Timing : Location::TorqueBalance;
   result.parameters = estimate.effect_parameters(effect);
   std::vector<Variant> parts;
@@ -285,6 +286,7 @@ void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candi
   if (summary.chosen) {
     NamedEffect effect;
     effect.name = name;
+    effect.words = words_of(DriveTerm::Cogging);
     effect.parameters = summary.values;
     effect.log_likelihood_gain = ripple.gain;
     effect.p_value = std::min(1.0, candidates * std::exp(-ripple.significance_nats));

@@ -36,7 +36,7 @@ ordered_json parameters_json(const std::vector<EstimatedParameter>& parameters) 
 ordered_json effect_json(const NamedEffect& effect, bool explains) {
   return {{"name", effect.name},
           {"location", to_string(effect.location)},
-          {"cause", explains ? ordered_json(words::cause(effect.name)) : ordered_json(nullptr)},
+          {"cause", explains ? ordered_json(words::cause(effect)) : ordered_json(nullptr)},
           {"parameters", parameters_json(effect.parameters)},
           {"evidence",
            {{"log_likelihood_gain", number_or_null(effect.log_likelihood_gain)},

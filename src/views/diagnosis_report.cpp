@@ -103,9 +103,8 @@ std::string next_step(const Diagnosis& diagnosis, const DiagnosisSubject& subjec
           "use those of the extended model{}.",
           subject.drive ? "" : " (--save writes it)");
     case DiagnosisVerdict::Ambiguous:
-      return diagnosis.next_experiment ? "Do what is said below (--next writes the trajectory) and diagnose "
-                                         "again with its runs added."
-                                       : "Add runs with other manoeuvres and diagnose again.";
+      if (!diagnosis.next_experiment) return "Add runs with other manoeuvres and diagnose again.";
+      return fmt::format("Do what is said below{} and diagnose again with its runs added.", subject.drive ? "" : " (--next writes the trajectory)");
     case DiagnosisVerdict::Unexplained:
       return "Look where the misfit is and at what it depends on. Do not trust the parameters until the "
              "cause is "
@@ -121,7 +120,7 @@ void add_result(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
     if (!words::has_rivals(diagnosis, effect.name))
       entries.emplace_back(
           fmt::format("{}: {}", words::role(diagnosis), effect.name),
-          typographic(words::explains(diagnosis) ? fmt::format("{} {}", sentence(words::cause(effect.name)),
+          typographic(words::explains(diagnosis) ? fmt::format("{} {}", sentence(words::cause(effect)),
                                                                sentence(words::quantities(effect.parameters)))
                                                  : sentence(words::quantities(effect.parameters))));
   for (const std::vector<std::string>& group : diagnosis.rivals)

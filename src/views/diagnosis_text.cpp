@@ -61,7 +61,7 @@ void add_effects(Text& text, const Diagnosis& diagnosis) {
       if (words::has_rivals(diagnosis, effect.name) != rivals) continue;
       if (!begun) text.heading(rivals ? "Best of the rivals" : words::role(diagnosis));
       begun = true;
-      const std::string cause = words::explains(diagnosis) ? words::cause(effect.name) : "";
+      const std::string cause = words::explains(diagnosis) ? words::cause(effect) : "";
       text.add("  {}{}{}\n", effect.name, cause.empty() ? "" : ": ", cause);
       for (const EstimatedParameter& parameter : effect.parameters) {
         // What is not estimated tells nobody anything by itself.

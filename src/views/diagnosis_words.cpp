@@ -181,6 +181,10 @@ std::string cause(const std::string& effect) {
   return known == nullptr ? "" : std::string(info_of(*known).cause);
 }
 
+std::string cause(const NamedEffect& effect) {
+  return effect.words.empty() ? cause(effect.name) : effect.words;
+}
+
 bool explains(const Diagnosis& diagnosis) {
   return diagnosis.verdict != DiagnosisVerdict::Unexplained;
 }

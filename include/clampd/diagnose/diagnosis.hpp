@@ -41,6 +41,7 @@ struct NamedEffect {
   std::vector<EstimatedParameter> parameters;
   double log_likelihood_gain = 0.0;  ///< nats that the model loses without it
   double p_value = 1.0;  ///< that a faultless brake shows as much, all candidates tried considered
+  std::string words = {};  ///< what it does; empty: as the catalogue of a brake's effects says
 };
 
 /// One candidate on the ladder of evidence of one stage of the search.

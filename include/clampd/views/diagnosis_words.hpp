@@ -48,6 +48,8 @@ std::vector<std::string> depends_on(const Misfit& misfit);
 
 /// The effect's cause as the catalogue words it; empty if it does not list it.
 std::string cause(const std::string& effect);
+/// In the effect's own words where it has some, or else as above.
+std::string cause(const NamedEffect& effect);
 
 /// Whether the verdict stands by the effects that the diagnosis found: an unexplained result names no cause.
 bool explains(const Diagnosis& diagnosis);
