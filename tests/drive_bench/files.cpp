@@ -58,7 +58,7 @@ std::string run_text(const Case& c, const Columns& names, const Recording& run) 
   return text;
 }
 
-std::string model_text(const Case& c, const Columns& names, bool say_good_enough) {
+std::string model_text(const Case& c, const Columns& names, bool all_keys) {
   std::string text = fmt::format(
       "[drive]\nname = \"{}\"\nkind = \"{}\"\nunit = \"{}\"\n\n[columns]\ntime = \"time_s\"\ntorque = "
       "\"{}\"\n",
@@ -74,9 +74,10 @@ std::string model_text(const Case& c, const Columns& names, bool say_good_enough
   };
   if (c.rig.has_position) add("position", names.position, names.position_scale);
   if (c.rig.has_velocity) add("velocity", names.velocity, names.velocity_scale);
+  if (all_keys && c.plant.measured_load.is_there()) text += "\n[regressors]\nload = \"load\"\n";
   std::string data;
   if (c.rig.torque_column == TorqueColumn::Held) data += "torque_held = true\n";
-  if (say_good_enough && c.good_enough > 0.0) data += fmt::format("good_enough = {:.4g}\n", c.good_enough);
+  if (all_keys && c.good_enough > 0.0) data += fmt::format("good_enough = {:.4g}\n", c.good_enough);
   if (!data.empty()) text += "\n[data]\n" + data;
   return text;
 }
@@ -84,7 +85,7 @@ std::string model_text(const Case& c, const Columns& names, bool say_good_enough
 }  // namespace
 
 Files write_files(const Case& c, const std::vector<Recording>& runs, const std::string& folder,
-                  bool say_good_enough) {
+                  bool all_keys) {
   const Columns names = name_columns(c);
   Files files;
   const std::filesystem::path root(folder);
@@ -93,7 +94,7 @@ Files write_files(const Case& c, const std::vector<Recording>& runs, const std::
     write_text(files.runs.back(), run_text(c, names, runs[run]));
   }
   files.model = (root / "model.toml").string();
-  write_text(files.model, model_text(c, names, say_good_enough));
+  write_text(files.model, model_text(c, names, all_keys));
   return files;
 }
 

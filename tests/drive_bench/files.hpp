@@ -13,10 +13,10 @@ struct Files {
   std::string model;
 };
 
-/// Writes run-1.csv, … and model.toml into an existing folder. `say_good_enough` false: for programs that do
+/// Writes run-1.csv, … and model.toml into an existing folder. `all_keys` false: for programs that do
 /// not know the key. Throws std::runtime_error where it cannot.
 Files write_files(const Case& drawn, const std::vector<Recording>& runs, const std::string& folder,
-                  bool say_good_enough = true);
+                  bool all_keys = true);
 
 /// The sealed answer, as JSON.
 std::string answer_json(const Case& drawn);

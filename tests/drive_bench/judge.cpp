@@ -31,7 +31,9 @@ std::string text_of(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-pid_t start(const std::vector<std::string>& arguments, const std::string& output, const std::string& errors) {
+/// The child may use so much processor time: a busy machine makes no timeout.
+pid_t start(const std::vector<std::string>& arguments, const std::string& output, const std::string& errors,
+            double limit_s) {
   const pid_t child = fork();
   if (child < 0) throw std::runtime_error("cannot start a process: too many of them?");
   if (child > 0) return child;
@@ -40,6 +42,9 @@ pid_t start(const std::vector<std::string>& arguments, const std::string& output
   if (out < 0 || err < 0) _exit(127);
   dup2(out, STDOUT_FILENO);
   dup2(err, STDERR_FILENO);
+  const auto whole_s = static_cast<rlim_t>(limit_s + 1.0);
+  const rlimit limit{whole_s, whole_s};
+  setrlimit(RLIMIT_CPU, &limit);
   std::vector<char*> pointers;
   for (const std::string& argument : arguments) pointers.push_back(const_cast<char*>(argument.c_str()));
   pointers.push_back(nullptr);
@@ -51,7 +56,7 @@ double seconds(const timeval& time) {
   return static_cast<double>(time.tv_sec) + 1e-6 * static_cast<double>(time.tv_usec);
 }
 
-/// Waits for the child; kills it at the limit.
+/// Waits for the child; kills it at the limit of wall time, for one that waits for ever.
 void wait_for(pid_t child, double limit_s, Answer& answer) {
   const auto begin = Clock::now();
   const auto elapsed_s = [&] { return std::chrono::duration<double>(Clock::now() - begin).count(); };
@@ -70,6 +75,8 @@ void wait_for(pid_t child, double limit_s, Answer& answer) {
   answer.wall_s = elapsed_s();
   answer.cpu_s = seconds(usage.ru_utime) + seconds(usage.ru_stime);
   answer.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
+  answer.timed_out = answer.timed_out || answer.exit_code == -SIGXCPU ||
+                     (answer.exit_code == -SIGKILL && answer.cpu_s > limit_s / 20.0);
 }
 
 bool contains(const std::vector<std::string>& names, const std::string& name) {
@@ -171,10 +178,11 @@ Outcome of_good_data(const Score& score, const std::vector<Recording>& runs, boo
            : answer.verdict == "ambiguous" ? Outcome::FalseRivals
                                            : Outcome::Wrong;
   }
-  if (claims) {
+  if (claims ||
+      !answer.effects.empty()) {  // effects that are certain may be named beside an unexplained rest
     const Outcome outcome = of_names(score, accepted);
     twin = accepted.used_twin();
-    return outcome;
+    return outcome == Outcome::Right && !claims ? Outcome::Unexplained : outcome;
   }
   // A finding may say what the effect would: the torque's column comes late.
   const bool found = std::any_of(answer.data.begin(), answer.data.end(), [&](const Answer::Finding& finding) {
@@ -266,7 +274,7 @@ Answer diagnose(const std::string& program, const Files& files, const std::strin
   arguments.insert(arguments.end(),
                    {"--model", files.model, "--json", json, "--threads", std::to_string(threads)});
   Answer ended;
-  wait_for(start(arguments, (root / "stdout.txt").string(), errors), limit_s, ended);
+  wait_for(start(arguments, (root / "stdout.txt").string(), errors, limit_s), 20.0 * limit_s, ended);
   Answer answer = parse_answer(text_of(json));
   answer.exit_code = ended.exit_code;
   answer.timed_out = ended.timed_out;
@@ -315,7 +323,7 @@ Score judge(std::uint64_t seed, const JudgeOptions& options, const std::string& 
         is_detectable(alone, beside ? fit_named(alone, of_it, {"gravity"}) : fit_base(alone, of_it)));
   }
   spoil(score.drawn, runs);
-  const Files files = write_files(score.drawn, runs, folder, options.say_good_enough);
+  const Files files = write_files(score.drawn, runs, folder, options.all_keys);
   score.answer = diagnose(options.program, files, folder, options.threads, options.limit_s);
   judge_answer(runs, score);
   return score;

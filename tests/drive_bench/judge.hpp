@@ -25,8 +25,8 @@ struct Answer {
   double share_left = -1.0;
 };
 
-/// Runs `PROGRAM diagnose RUNS --model MODEL --json FILE --threads N` to its end, or to the limit of its wall
-/// time.
+/// Runs `PROGRAM diagnose RUNS --model MODEL --json FILE --threads N` to its end, or until it has used
+/// `limit_s` of processor time (20 times as much wall time).
 Answer diagnose(const std::string& program, const Files& files, const std::string& folder, int threads,
                 double limit_s);
 
@@ -81,7 +81,7 @@ struct JudgeOptions {
   std::string effect;
   int threads = 1;
   double limit_s = 120.0;
-  bool say_good_enough = true;
+  bool all_keys = true;
 };
 Score judge(std::uint64_t seed, const JudgeOptions& options, const std::string& folder);
 

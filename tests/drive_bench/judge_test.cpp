@@ -111,7 +111,7 @@ TEST(Judge, ReadsWhatTheProgramWrites) {
   // One small set the whole way: files in, JSON out. What is found is the bench's business, not this test's.
   JudgeOptions options;
   options.program = CLAMPD_CLAMPCTL;
-  options.say_good_enough = false;
+  options.all_keys = false;
   const support::TemporaryDirectory folder;
   const Score score = judge(265, options, folder.path(""));
   EXPECT_EQ(score.answer.exit_code, 0) << score.answer.messages;

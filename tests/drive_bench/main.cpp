@@ -324,7 +324,7 @@ int write_set(const Options& options) {
   const Fit base = fit_base(drawn, runs);
   spoil(drawn, runs);
   fs::create_directories(folder);
-  const Files files = write_files(drawn, runs, folder, options.judge.say_good_enough);
+  const Files files = write_files(drawn, runs, folder, options.judge.all_keys);
   std::ofstream(fs::path(folder) / "answer.json") << answer_json(drawn);
   fmt::print(
       "{}\nThe best base model leaves {:.1f} % of the torque, {:.3g} nats.\nclampctl diagnose {}/run-*.csv "
@@ -385,7 +385,7 @@ int run(int argc, char** argv) {
   app.add_option("--threads", options.threads, "sets at a time, one thread each")->check(CLI::Range(1, 64));
   app.add_option("--minutes", options.minutes, "of each half; then the sets that are done are reported");
   app.add_option("--clampctl", options.judge.program, "the program under test")->check(CLI::ExistingFile);
-  app.add_option("--limit", options.judge.limit_s, "seconds that a diagnosis may take");
+  app.add_option("--limit", options.judge.limit_s, "processor seconds that a diagnosis may take");
   app.add_option("--keep", options.keep, "folder in which the files of failed sets stay");
   app.add_option("--failures", options.failures,
                  "append each failed set of the development half to this file");
@@ -393,11 +393,11 @@ int run(int argc, char** argv) {
   app.add_option("--only", options.only, "judge the set of this seed, and say what came out");
   app.add_flag("--list", options.list, "each set as it is done");
   app.add_flag("--summary", options.summary, "what the generator draws, without any diagnosis");
-  bool without_good_enough = false;
-  app.add_flag("--without-good-enough", without_good_enough,
-               "leave that key out of the model files: for programs that do not know it");
+  bool old_keys = false;
+  app.add_flag("--old-keys", old_keys,
+               "leave good_enough and regressors out of the model files: for programs before them");
   CLI11_PARSE(app, argc, argv);
-  options.judge.say_good_enough = !without_good_enough;
+  options.judge.all_keys = !old_keys;
   if (!options.write.empty()) return write_set(options);
   if (options.summary) return summarise(options);
   if (options.only != 0) {
