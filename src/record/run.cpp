@@ -167,10 +167,79 @@ Result<void> convert(const Column& column, Run& run, std::vector<double>& subtra
   return {};
 }
 
+/// Where in a file something is wrong.
+struct Place {
+  const std::string& file;
+  const LineReader& lines;
+
+  auto fails(std::size_t column, std::string_view message) const {
+    return failure(fmt::format("{}:{}:{}: {}", file, lines.number(), column, message));
+  }
+};
+
+/// What each field of the header is read into.
+struct Targets {
+  std::vector<Target> of_field;
+  std::vector<std::vector<double>> subtracted;  ///< one for each column; those that of_field points to
+};
+
+Result<std::size_t> field_called(std::string_view wanted, const std::vector<Field>& header, const Place& place) {
+  std::size_t found = header.size();
+  for (std::size_t i = 0; i < header.size(); ++i) {
+    if (header[i].text != wanted) continue;
+    if (found != header.size()) return place.fails(header[i].column, fmt::format("column {} appears twice", wanted));
+    found = i;
+  }
+  return found;
+}
+
+Result<Targets> targets_in(Run& run, std::span<const Column> columns, const std::vector<Field>& header, std::string_view line,
+                           const Place& place) {
+  Targets targets{std::vector<Target>(header.size()), std::vector<std::vector<double>>(columns.size())};
+  for (std::size_t c = 0; c < columns.size(); ++c) {
+    const Column& column = columns[c];
+    for (const bool minus : {false, true}) {
+      const std::string_view wanted = minus ? column.minus : column.name;
+      if (minus && wanted.empty()) continue;
+      const Result<std::size_t> found = field_called(wanted, header, place);
+      if (!found) return tl::unexpected(found.error());
+      if (*found != header.size()) {
+        Target& field = targets.of_field[*found];
+        std::vector<double>*& target = minus ? field.subtracted : field.values;
+        if (target != nullptr) return place.fails(header[*found].column, fmt::format("column {} is used twice", wanted));
+        target = minus ? &targets.subtracted[c] : &values_of(run, column);
+      } else if (column.required) {
+        return place.fails(1, fmt::format("column {} is missing; the header is \"{}\"", wanted, shown(trim(line))));
+      }
+    }
+  }
+  return targets;
+}
+
+Result<void> read_row(const std::vector<Field>& fields, const std::vector<Field>& header, const Targets& targets, Run& run,
+                      const Place& place) {
+  for (std::size_t i = 0; i < fields.size(); ++i) {
+    const Target& target = targets.of_field[i];
+    if (target.values == nullptr && target.subtracted == nullptr) continue;
+    const std::optional<double> value = parse_number(fields[i].text);
+    if (!value)
+      return place.fails(fields[i].column, fmt::format("{} is not a finite number: \"{}\"", header[i].text, shown(fields[i].text)));
+    if (target.values == &run.time_s && !run.time_s.empty() && *value <= run.time_s.back())
+      return place.fails(fields[i].column, fmt::format("{} does not increase: {} after {}", header[i].text, *value, run.time_s.back()));
+    if (target.values == &run.drive_enabled && *value != 0.0 && *value != 1.0)
+      return place.fails(fields[i].column,
+                         fmt::format("{} is {}; it must be 1, or 0 where the drive was off", header[i].text, *value));
+    if (target.values != nullptr) target.values->push_back(*value);
+    if (target.subtracted != nullptr) target.subtracted->push_back(*value);
+  }
+  return {};
+}
+
 /// `foreign`: a file of somebody else's, which may begin with lines of its own and has comments.
 Result<LoadedRun> parse_columns(const std::string& text, const std::string& name, std::span<const Column> columns,
                                 bool foreign = false, int skip_lines = 0) {
   LineReader lines(text);
+  const Place place{name, lines};
   std::string_view line;
   const auto next = [&] {
     while (lines.next(line))
@@ -186,47 +255,18 @@ Result<LoadedRun> parse_columns(const std::string& text, const std::string& name
     return failure(fmt::format("{}:1:1: the file is empty; expected a header with {}", name, expected));
   }
   const std::size_t header_lines = lines.number();
-  const auto at = [&](std::size_t column, std::string_view message) {
-    return failure(fmt::format("{}:{}:{}: {}", name, lines.number(), column, message));
-  };
-
   std::vector<Field> header;
   split(line, header);
   if (header.size() == 1 && line.find_first_of(";\t") != std::string_view::npos)
-    return at(1 + line.find_first_of(";\t"), "columns must be separated by commas");
+    return place.fails(1 + line.find_first_of(";\t"), "columns must be separated by commas");
 
   LoadedRun loaded;
   loaded.run.name = name;
   for (const Column& column : columns)
     if (column.other >= 0) loaded.run.others.push_back({std::string(column.name), {}});
-  std::vector<Target> targets(header.size());
-  std::vector<std::vector<double>> subtracted(columns.size());
-  const auto find = [&](std::string_view wanted) -> Result<std::size_t> {
-    std::size_t found = header.size();
-    for (std::size_t i = 0; i < header.size(); ++i) {
-      if (header[i].text != wanted) continue;
-      if (found != header.size()) return at(header[i].column, fmt::format("column {} appears twice", wanted));
-      found = i;
-    }
-    return found;
-  };
-  for (std::size_t c = 0; c < columns.size(); ++c) {
-    const Column& column = columns[c];
-    for (const bool minus : {false, true}) {
-      const std::string_view wanted = minus ? column.minus : column.name;
-      if (minus && wanted.empty()) continue;
-      const Result<std::size_t> found = find(wanted);
-      if (!found) return tl::unexpected(found.error());
-      if (*found != header.size()) {
-        std::vector<double>*& target = minus ? targets[*found].subtracted : targets[*found].values;
-        if (target != nullptr) return at(header[*found].column, fmt::format("column {} is used twice", wanted));
-        target = minus ? &subtracted[c] : &values_of(loaded.run, column);
-      } else if (column.required) {
-        return at(1, fmt::format("column {} is missing; the header is \"{}\"", wanted, shown(trim(line))));
-      }
-    }
-  }
-  const std::string ignored = ignored_columns(name, header, targets, foreign, loaded.notices);
+  Result<Targets> targets = targets_in(loaded.run, columns, header, line, place);
+  if (!targets) return tl::unexpected(targets.error());
+  const std::string ignored = ignored_columns(name, header, targets->of_field, foreign, loaded.notices);
   if (foreign && !ignored.empty())
     loaded.notices.push_back(fmt::format("{}: column{} {} ignored", name, ignored.find(", ") == std::string::npos ? "" : "s",
                                          ignored + (ignored.find(", ") == std::string::npos ? " is" : " are")));
@@ -234,32 +274,17 @@ Result<LoadedRun> parse_columns(const std::string& text, const std::string& name
   std::vector<Field> fields;
   fields.reserve(header.size());
   while (next()) {
-    if (trim(line).empty()) return at(1, "an empty line between rows");
+    if (trim(line).empty()) return place.fails(1, "an empty line between rows");
     split(line, fields);
     if (fields.size() != header.size())
-      return at(fields.size() > header.size() ? fields[header.size()].column : line.size() + 1,
-                fmt::format("the row has {} fields, the header {}", fields.size(), header.size()));
-    for (std::size_t i = 0; i < fields.size(); ++i) {
-      const Target& target = targets[i];
-      if (target.values == nullptr && target.subtracted == nullptr) continue;
-      const std::optional<double> value = parse_number(fields[i].text);
-      if (!value)
-        return at(fields[i].column,
-                  fmt::format("{} is not a finite number: \"{}\"", header[i].text, shown(fields[i].text)));
-      if (target.values == &loaded.run.time_s && !loaded.run.time_s.empty() && *value <= loaded.run.time_s.back())
-        return at(fields[i].column, fmt::format("{} does not increase: {} after {}", header[i].text, *value,
-                                                loaded.run.time_s.back()));
-      if (target.values == &loaded.run.drive_enabled && *value != 0.0 && *value != 1.0)
-        return at(fields[i].column, fmt::format("{} is {}; it must be 1, or 0 where the drive was off",
-                                                header[i].text, *value));
-      if (target.values != nullptr) target.values->push_back(*value);
-      if (target.subtracted != nullptr) target.subtracted->push_back(*value);
-    }
+      return place.fails(fields.size() > header.size() ? fields[header.size()].column : line.size() + 1,
+                         fmt::format("the row has {} fields, the header {}", fields.size(), header.size()));
+    if (const Result<void> read = read_row(fields, header, *targets, loaded.run, place); !read) return tl::unexpected(read.error());
   }
   if (loaded.run.size() == 0)
     return failure(fmt::format("{}:{}:1: the file has a header and no rows", name, lines.number() + 1));
   for (std::size_t c = 0; c < columns.size(); ++c)
-    if (const Result<void> converted = convert(columns[c], loaded.run, subtracted[c], header_lines); !converted)
+    if (const Result<void> converted = convert(columns[c], loaded.run, targets->subtracted[c], header_lines); !converted)
       return tl::unexpected(converted.error());
   for (std::size_t c = 0; c < columns.size(); ++c)  // by the names that the map gives them
     if (columns[c].other >= 0) loaded.run.others[static_cast<std::size_t>(columns[c].other)].name = columns[c].label;
