@@ -133,7 +133,6 @@ INSTANTIATE_TEST_SUITE_P(
         BadInput{"Parameters", "short.csv --parameters bad.toml --json out.json", "bad.toml"},
         BadInput{"Model", "short.csv --model bad.toml --json out.json", "bad.toml"},
         BadInput{"ModelMissing", "short.csv --model nowhere.toml --json out.json", "nowhere.toml"},
-        BadInput{"DriveSaved", "short.csv --model bad.toml --save out.toml", "--save is for brakes"},
         BadInput{"Unwritable", "short.csv --json nowhere/out.json", "nowhere"},
         BadInput{"ReportOnStandardOutput", "short.csv --report -", "--report needs the name of a file"},
         BadInput{"SameFile", "short.csv --save out.toml --next out.toml", "name the same file"},
