@@ -314,6 +314,129 @@ std::string rest_words(const Remainder& rest, const std::vector<DependenceTest>&
   return fmt::format("is irregular from row to row and more than the readings' own noise ({:.2g} {})", rest.noise, units.torque);
 }
 
+struct RecordedRuns {
+  std::vector<Run> runs;  ///< with the held-out ones behind, mended
+  std::vector<DataFinding> findings;
+};
+
+Result<RecordedRuns> recorded_runs(std::span<const Run> runs, std::span<const Run> heldout, const DriveModel& model) {
+  RecordedRuns readings;
+  readings.runs.assign(runs.begin(), runs.end());
+  readings.runs.insert(readings.runs.end(), heldout.begin(), heldout.end());
+  for (const Run& run : readings.runs)
+    if (run.size() < kLeastSamples)
+      return failure(fmt::format("{}: {} rows are too few; a drive's run needs {}", run.name, run.size(), kLeastSamples));
+  Result<CheckedData> checked = check_data(readings.runs, model);
+  if (!checked) return tl::unexpected(checked.error());
+  if (checked->stops()) return failure(stop_message(*checked));
+  if (!checked->runs.empty()) readings.runs = std::move(checked->runs);
+  readings.findings = std::move(checked->findings);
+  return readings;
+}
+
+/// What was done to the readings before any model saw them.
+void add_preparation(const Workshop& shop, const DriveModel& model, Diagnosis& diagnosis) {
+  diagnosis.notices = shop.data.notices;
+  diagnosis.rows = shop.data.rows;
+  if (!model.steady)
+    diagnosis.notices.push_back(fmt::format("both sides of the torque balance are filtered at {:.3g} Hz", shop.data.cut_off_Hz));
+  if (shop.options.lag_s != 0.0)
+    diagnosis.data.push_back({"torque-delay", model.columns.torque.column, shop.data.runs.front().name, shop.options.lag_s, "s",
+                              DataFinding::Severity::Mended,
+                              fmt::format("the torque acts {:.2g} ms {} its reading, less than a row; it was shifted by that much",
+                                          1e3 * std::abs(shop.options.lag_s), shop.options.lag_s > 0.0 ? "after" : "before")});
+}
+
+/// Parameters, named effects and the model that is saved. Returns the effects in words.
+std::vector<std::string> add_model(const Workshop& shop, const Selection& selection, Selector& selector, const DriveModel& model,
+                                   std::span<const Run> runs, DriveDiagnosis& diagnosis) {
+  const Estimate before(*shop.design, selection.base, model), after(*shop.design, selection.best, model);
+  diagnosis.parameters_before = before.base_parameters();
+  diagnosis.parameters_after = after.base_parameters();
+  for (const Variant& part : selection.base.parts)
+    for (EstimatedParameter& parameter : after.effect_parameters(part)) {
+      parameter.name = fmt::format("{}.{}", part.name, parameter.name);
+      diagnosis.parameters_after.push_back(std::move(parameter));
+    }
+  std::vector<std::string> words;
+  for (const Variant& effect : effects_of(selection)) {
+    diagnosis.effects.push_back(named(effect, selection, selector, after));
+    words.emplace_back(words_of(effect.term));
+  }
+  if (model.steady && model.part(DriveTerm::Cogging).use == PartUse::Candidate)
+    add_steady_ripple(steady_ripple(runs, model, selection.alarm_nats), Units(model), selection.candidates, diagnosis, words);
+  diagnosis.fitted = {model, selector.terms_of(selection.best), after.covariance(), selector.lag_of(selection.best),
+                      shop.data.cut_off_Hz, shop.data.slow_speed, kNaN};
+  // Known values are certain.
+  Eigen::Index coefficients = 0;
+  for (const FittedTerm& term : diagnosis.fitted.terms) coefficients += static_cast<Eigen::Index>(term.coefficients.size());
+  diagnosis.fitted.covariance.conservativeResizeLike(Eigen::MatrixXd::Zero(coefficients, coefficients));
+  return words;
+}
+
+/// What the base model and the best one leave.
+struct Rests {
+  Remainder before, after;
+  std::vector<DependenceTest> dependences;  ///< of what is left after
+};
+
+double inertia_in(const std::vector<EstimatedParameter>& parameters) {
+  for (const EstimatedParameter& parameter : parameters)
+    if (parameter.name == "inertia") return parameter.value;
+  return 0.0;
+}
+
+Rests add_rests(const Design& design, const Selection& selection, const DriveModel& model, DriveDiagnosis& diagnosis) {
+  Rests rests{remainder_of(design, selection.base, inertia_in(diagnosis.parameters_before)),
+              remainder_of(design, selection.best, inertia_in(diagnosis.parameters_after)), dependences(design, selection.best, model)};
+  rests.after.explainable = explainable_share(design, selection.best, model);
+  diagnosis.share_left = rests.after.share;
+  diagnosis.share_explainable = rests.after.explainable;
+  diagnosis.fitted.error_rms = rests.after.left;
+  diagnosis.misfit.tests_before = tests_of(design, selection.base, rests.before);
+  diagnosis.misfit.tests_after = tests_of(design, selection.best, rests.after);
+  for (const DependenceTest& test : rests.dependences) diagnosis.misfit.dependences.push_back(test.dependence);
+  if (!rests.dependences.empty()) diagnosis.misfit.location = Location::TorqueBalance;
+  return rests;
+}
+
+void decide(const Rests& rests, const std::vector<std::string>& words, const DriveModel& model, Diagnosis& diagnosis) {
+  const Remainder& rest = rests.after;
+  const bool enough = rest.share < model.good_enough || rest.is_noise();
+  const bool structured = rest.explainable > kStructured && !rest.is_noise();
+  const std::string what_is_left = rest_words(rest, rests.dependences, Units(model));
+  const double percent = 100.0 * rest.share;
+  const std::string share = fmt::format("{:.3g} % of the torque's variation before, {:.3g} % after", 100.0 * rests.before.share, percent);
+  if (diagnosis.effects.empty() && enough && !structured) {
+    diagnosis.verdict = DiagnosisVerdict::Adequate;
+    diagnosis.summary =
+        fmt::format("{}: the base model explains the runs; {:.3g} % of the torque's variation is left, {}.", model.name, percent,
+                    rest.is_noise() ? "no more than the readings' own noise" : "less than what is called good enough");
+  } else if (diagnosis.effects.empty()) {
+    diagnosis.verdict = DiagnosisVerdict::Unexplained;
+    diagnosis.summary = fmt::format("{}: no known effect explains the torque; {:.3g} % of its variation is left, and that {}.",
+                                    model.name, percent, what_is_left);
+  } else if (!enough) {
+    diagnosis.verdict = DiagnosisVerdict::Unexplained;
+    diagnosis.summary =
+        fmt::format("{}: {}. Left: {}. The rest, {:.3g} %, {}.", model.name, listed(words), share, percent, what_is_left);
+  } else {
+    diagnosis.verdict = diagnosis.rivals.empty() ? DiagnosisVerdict::Explained : DiagnosisVerdict::Ambiguous;
+    diagnosis.summary = fmt::format("{}: {}. Left: {}.", model.name, listed(words), share);
+    if (structured) diagnosis.notices.push_back(fmt::format("what is left {}", what_is_left));
+  }
+}
+
+void add_gain(const Workshop& shop, const Selection& selection, const Rests& rests, Diagnosis& diagnosis) {
+  HeldOutGain gain;
+  gain.before = figures(*shop.design, selection.base, rests.before, rests.after);
+  gain.after = figures(*shop.design, selection.best, rests.after, rests.after);
+  for (const DriveRows& run : shop.data.runs)
+    if (run.heldout) gain.runs.push_back(run.name);
+  if (gain.runs.empty()) diagnosis.notices.push_back("no run was held out; the gain is judged by leaving out each fifth of the rows in turn");
+  diagnosis.gain = std::move(gain);
+}
+
 }  // namespace
 
 Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model, const DiagnoseOptions& options) {
@@ -322,19 +445,12 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
     if (options.progress) options.progress(share, what);
   };
   progress(0.0, "readings");
-  std::vector<Run> all(runs.begin(), runs.end());
-  all.insert(all.end(), options.heldout.begin(), options.heldout.end());
-  for (const Run& run : all)
-    if (run.size() < kLeastSamples)
-      return failure(fmt::format("{}: {} rows are too few; a drive's run needs {}", run.name, run.size(), kLeastSamples));
-  Result<CheckedData> checked = check_data(all, model);
-  if (!checked) return tl::unexpected(checked.error());
-  if (checked->stops()) return failure(stop_message(*checked));
-  if (!checked->runs.empty()) all = std::move(checked->runs);
+  Result<RecordedRuns> readings = recorded_runs(runs, options.heldout, model);
+  if (!readings) return tl::unexpected(readings.error());
   progress(0.1, "motion");
-  Result<DriveData> data = prepare(all, runs.size(), model);
+  Result<DriveData> data = prepare(readings->runs, runs.size(), model);
   if (!data) return tl::unexpected(data.error());
-  all.clear();
+  readings->runs.clear();
   Workshop shop;
   shop.data = std::move(*data);
   progress(0.3, "noise");
@@ -349,97 +465,22 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   progress(0.9, "what is left");
 
   DriveDiagnosis diagnosis;
-  diagnosis.data = std::move(checked->findings);
-  const Units units(model);
-  diagnosis.notices = shop.data.notices;
-  diagnosis.rows = shop.data.rows;
-  if (!model.steady)
-    diagnosis.notices.push_back(fmt::format("both sides of the torque balance are filtered at {:.3g} Hz", shop.data.cut_off_Hz));
-  if (shop.options.lag_s != 0.0)
-    diagnosis.data.push_back({"torque-delay", model.columns.torque.column, shop.data.runs.front().name, shop.options.lag_s, "s",
-                              DataFinding::Severity::Mended,
-                              fmt::format("the torque acts {:.2g} ms {} its reading, less than a row; it was shifted by that much",
-                                          1e3 * std::abs(shop.options.lag_s), shop.options.lag_s > 0.0 ? "after" : "before")});
+  diagnosis.data = std::move(readings->findings);
+  add_preparation(shop, model, diagnosis);
   withdraw_approximations(selector, design, model, selection, diagnosis.notices);
   withdraw_what_leans_on_the_rest(selector, design, model, selection, diagnosis.notices);
   diagnosis.rivals = selection.rivals;
-  const Estimate before(design, selection.base, model), after(design, selection.best, model);
-  diagnosis.parameters_before = before.base_parameters();
-  diagnosis.parameters_after = after.base_parameters();
-  for (const Variant& part : selection.base.parts)
-    for (EstimatedParameter& parameter : after.effect_parameters(part)) {
-      parameter.name = fmt::format("{}.{}", part.name, parameter.name);
-      diagnosis.parameters_after.push_back(std::move(parameter));
-    }
-  std::vector<std::string> words;
-  for (const Variant& effect : effects_of(selection)) {
-    diagnosis.effects.push_back(named(effect, selection, selector, after));
-    words.emplace_back(words_of(effect.term));
-  }
-  if (model.steady && model.part(DriveTerm::Cogging).use == PartUse::Candidate)
-    add_steady_ripple(steady_ripple(runs, model, selection.alarm_nats), units, selection.candidates, diagnosis, words);
-  diagnosis.fitted = {model, selector.terms_of(selection.best), after.covariance(), selector.lag_of(selection.best),
-                      shop.data.cut_off_Hz, shop.data.slow_speed, kNaN};
-  // Known values are certain.
-  Eigen::Index coefficients = 0;
-  for (const FittedTerm& term : diagnosis.fitted.terms) coefficients += static_cast<Eigen::Index>(term.coefficients.size());
-  diagnosis.fitted.covariance.conservativeResizeLike(Eigen::MatrixXd::Zero(coefficients, coefficients));
+  const std::vector<std::string> words = add_model(shop, selection, selector, model, runs, diagnosis);
   diagnosis.alarm_evidence = selection.alarm_nats;
   add_ladder(selection, selector, design, model, diagnosis);
-
-  const auto inertia_of = [&](const std::vector<EstimatedParameter>& parameters) {
-    for (const EstimatedParameter& parameter : parameters)
-      if (parameter.name == "inertia") return parameter.value;
-    return 0.0;
-  };
-  const Remainder rest_before = remainder_of(design, selection.base, inertia_of(diagnosis.parameters_before));
-  Remainder rest = remainder_of(design, selection.best, inertia_of(diagnosis.parameters_after));
-  rest.explainable = explainable_share(design, selection.best, model);
-  diagnosis.share_left = rest.share;
-  diagnosis.share_explainable = rest.explainable;
-  diagnosis.fitted.error_rms = rest.left;
-  diagnosis.misfit.tests_before = tests_of(design, selection.base, rest_before);
-  diagnosis.misfit.tests_after = tests_of(design, selection.best, rest);
-  const std::vector<DependenceTest> left = dependences(design, selection.best, model);
-  for (const DependenceTest& test : left) diagnosis.misfit.dependences.push_back(test.dependence);
-  if (!left.empty()) diagnosis.misfit.location = Location::TorqueBalance;
-  if (!std::isfinite(rest.share) || !std::isfinite(rest_before.share))
+  const Rests rests = add_rests(design, selection, model, diagnosis);
+  if (!std::isfinite(rests.after.share) || !std::isfinite(rests.before.share))
     return failure(fmt::format("{}: the torque does not change in the runs, so that nothing can be told of it", model.name));
-
-  const bool enough = rest.share < model.good_enough || rest.is_noise();
-  const bool structured = rest.explainable > kStructured && !rest.is_noise();
-  const std::string share = fmt::format("{:.3g} % of the torque's variation before, {:.3g} % after", 100.0 * rest_before.share,
-                                        100.0 * rest.share);
-  if (diagnosis.effects.empty() && enough && !structured) {
-    diagnosis.verdict = DiagnosisVerdict::Adequate;
-    diagnosis.summary = fmt::format("{}: the base model explains the runs; {:.3g} % of the torque's variation is left, {}.", model.name,
-                                    100.0 * rest.share,
-                                    rest.is_noise() ? "no more than the readings' own noise" : "less than what is called good enough");
-  } else if (!enough || diagnosis.effects.empty()) {
-    diagnosis.verdict = DiagnosisVerdict::Unexplained;
-    diagnosis.summary =
-        diagnosis.effects.empty()
-            ? fmt::format("{}: no known effect explains the torque; {:.3g} % of its variation is left, and that {}.", model.name,
-                          100.0 * rest.share, rest_words(rest, left, units))
-            : fmt::format("{}: {}. Left: {}. The rest, {:.3g} %, {}.", model.name, listed(words), share,
-                          100.0 * rest.share, rest_words(rest, left, units));
-  } else {
-    diagnosis.verdict = diagnosis.rivals.empty() ? DiagnosisVerdict::Explained : DiagnosisVerdict::Ambiguous;
-    diagnosis.summary = fmt::format("{}: {}. Left: {}.", model.name, listed(words), share);
-    if (structured)
-      diagnosis.notices.push_back(fmt::format("what is left {}", rest_words(rest, left, units)));
-  }
-
+  decide(rests, words, model, diagnosis);
   diagnosis.next_experiment = next_motion(diagnosis.fitted, diagnosis.rivals, selection.unseen, shop.range);
   for (const auto& [name, reason] : selection.unseen) diagnosis.unseen.push_back({name, reason.reason});
   for (const UnseenReason& each : kNeverSeen) diagnosis.unseen.push_back({std::string(each.name), std::string(each.reason)});
-  HeldOutGain gain;
-  gain.before = figures(design, selection.base, rest_before, rest);
-  gain.after = figures(design, selection.best, rest, rest);
-  for (const DriveRows& run : shop.data.runs)
-    if (run.heldout) gain.runs.push_back(run.name);
-  diagnosis.gain = gain;
-  if (gain.runs.empty()) diagnosis.notices.push_back("no run was held out; the gain is judged by leaving out each fifth of the rows in turn");
+  add_gain(shop, selection, rests, diagnosis);
   if (options.views) diagnosis.views = views_of(design, selection.base, selection.best);
   diagnosis.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
   progress(1.0, "done");

@@ -96,6 +96,70 @@ std::vector<EstimatedParameter> Estimate::asymmetry(const Variant& variant, Eige
   return parameters;
 }
 
+EstimatedParameter Estimate::single(Eigen::Index first, std::string name, const std::string& unit, Eigen::Index offset, double factor) const {
+  return combined(std::move(name), unit, {{first + offset, factor}});
+}
+
+EstimatedParameter Estimate::shape_of(const Variant& variant, std::string name, const std::string& unit) const {
+  const double value = *free_shape(variant);
+  return {std::move(name), unit, value, variant.shape_sd > 0.0 ? variant.shape_sd * std::abs(value) : kNaN};
+}
+
+std::vector<EstimatedParameter> Estimate::stribeck(const Variant& variant, Eigen::Index first) const {
+  std::vector<EstimatedParameter> parameters;
+  if (variant.functions.size() > 1) {
+    parameters.push_back(combined("rise-forward", units_.torque, {{first, 1.0}, {first + 1, 1.0}}));
+    parameters.push_back(combined("rise-backward", units_.torque, {{first, 1.0}, {first + 1, -1.0}}));
+  } else {
+    parameters.push_back(single(first, "rise", units_.torque));
+  }
+  parameters.push_back(shape_of(variant, "speed", units_.velocity));
+  return parameters;
+}
+
+std::vector<EstimatedParameter> Estimate::power_law(const Variant& variant, Eigen::Index first) const {
+  std::vector<EstimatedParameter> parameters{single(first, "friction-at-speed", units_.torque)};
+  if (variant.functions.size() > 1) parameters.push_back(single(first, "difference-by-direction", units_.torque, 1));
+  parameters.push_back({"speed", units_.velocity, variant.functions.front().first, kNaN});
+  parameters.push_back(shape_of(variant, "power", "1"));
+  return parameters;
+}
+
+std::vector<EstimatedParameter> Estimate::load_position(const Variant& variant, Eigen::Index first) const {
+  const double unit = variant.functions.front().second;
+  std::vector<EstimatedParameter> parameters{single(first, "stiffness", units_.torque + "/" + units_.position, 0, 1.0 / unit)};
+  const double slope = model_.fit.coefficients[first];
+  if (variant.functions.size() > 1 && slope != 0.0)
+    parameters.push_back({"slack-at", units_.position, -model_.fit.coefficients[first + 1] / slope * unit, kNaN});
+  return parameters;
+}
+
+std::vector<EstimatedParameter> Estimate::drift(const Variant& variant, Eigen::Index first) const {
+  std::vector<EstimatedParameter> parameters;
+  for (std::size_t i = 0; i < variant.functions.size(); ++i) {
+    const BasisFunction& function = variant.functions[i];
+    const bool viscous = function.carrier == BasisFunction::Carrier::Velocity;
+    const char* name = function.factor == BasisFunction::Factor::Run    ? "change-per-run"
+                       : function.factor == BasisFunction::Factor::Time ? "change-within-run"
+                                                                        : "excess-at-start";
+    parameters.push_back(single(first, std::string(viscous ? "viscous-" : "") + name, viscous ? units_.per_velocity : units_.torque,
+                                static_cast<Eigen::Index>(i)));
+  }
+  return parameters;
+}
+
+std::vector<EstimatedParameter> Estimate::gravity(const Variant& variant, Eigen::Index first) const {
+  const auto count = static_cast<Eigen::Index>(variant.functions.size());
+  std::vector<EstimatedParameter> parameters{amplitude("amplitude", first, count, 1, std::max<Eigen::Index>(1, count / 2))};
+  if (count == 2) {
+    parameters.push_back(single(first, "sine", units_.torque));
+    parameters.push_back(single(first, "cosine", units_.torque, 1));
+  }
+  parameters.push_back({"multiple", "1", variant.functions.front().first,
+                        variant.shape_sd > 0.0 ? variant.shape_sd * variant.functions.front().first : kNaN});
+  return parameters;
+}
+
 std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& variant) const {
   Eigen::Index first = 0;
   for (const Variant& part : model_.parts) {
@@ -103,13 +167,9 @@ std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& varia
     first += static_cast<Eigen::Index>(part.columns.size());
   }
   const auto one = [&](const char* name, const std::string& unit, Eigen::Index offset = 0, double factor = 1.0) {
-    return combined(name, unit, {{first + offset, factor}});
+    return single(first, name, unit, offset, factor);
   };
   const bool two = variant.functions.size() > 1;
-  const auto shape = [&](const char* name, const std::string& unit, bool relative = true) {
-    const double value = *free_shape(variant);
-    return EstimatedParameter{name, unit, value, variant.shape_sd > 0.0 ? variant.shape_sd * (relative ? std::abs(value) : 1.0) : kNaN};
-  };
   switch (variant.term) {
     case DriveTerm::Inertia:
     case DriveTerm::Viscous:
@@ -121,26 +181,12 @@ std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& varia
       return asymmetry(variant, first);
     case DriveTerm::QuadraticDrag:
       return {one("drag", units_.per_velocity_squared)};
-    case DriveTerm::FrictionShape: {
-      std::vector<EstimatedParameter> parameters;
-      if (two) {
-        parameters.push_back(combined("rise-forward", units_.torque, {{first, 1.0}, {first + 1, 1.0}}));
-        parameters.push_back(combined("rise-backward", units_.torque, {{first, 1.0}, {first + 1, -1.0}}));
-      } else {
-        parameters.push_back(one("rise", units_.torque));
-      }
-      parameters.push_back(shape("speed", units_.velocity));
-      return parameters;
-    }
-    case DriveTerm::FrictionPower: {
-      std::vector<EstimatedParameter> parameters{one("friction-at-speed", units_.torque)};
-      if (two) parameters.push_back(one("difference-by-direction", units_.torque, 1));
-      parameters.push_back({"speed", units_.velocity, variant.functions.front().first, kNaN});
-      parameters.push_back(shape("power", "1"));
-      return parameters;
-    }
+    case DriveTerm::FrictionShape:
+      return stribeck(variant, first);
+    case DriveTerm::FrictionPower:
+      return power_law(variant, first);
     case DriveTerm::Presliding:
-      return {one("level", units_.torque), shape("length", units_.position)};
+      return {one("level", units_.torque), shape_of(variant, "length", units_.position)};
     case DriveTerm::Cogging:
       return cogging(variant, first);
     case DriveTerm::FrictionPosition:
@@ -148,40 +194,15 @@ std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& varia
         return {one("sine", units_.torque), one("cosine", units_.torque, 1)};
       if (!two) return {one("slope", units_.torque)};
       return {one("slope", units_.torque), one("curvature", units_.torque, 1)};
-    case DriveTerm::LoadPosition: {
-      const double unit = variant.functions.front().second;
-      std::vector<EstimatedParameter> parameters{one("stiffness", units_.torque + "/" + units_.position, 0, 1.0 / unit)};
-      const double slope = model_.fit.coefficients[first];
-      if (two && slope != 0.0) parameters.push_back({"slack-at", units_.position, -model_.fit.coefficients[first + 1] / slope * unit, kNaN});
-      return parameters;
-    }
+    case DriveTerm::LoadPosition:
+      return load_position(variant, first);
     case DriveTerm::InertiaPosition:
       if (!two) return {one("slope", units_.per_acceleration)};
       return {one("slope", units_.per_acceleration), one("curvature", units_.per_acceleration, 1)};
-    case DriveTerm::FrictionDrift: {
-      std::vector<EstimatedParameter> parameters;
-      for (std::size_t i = 0; i < variant.functions.size(); ++i) {
-        const BasisFunction& function = variant.functions[i];
-        const bool viscous = function.carrier == BasisFunction::Carrier::Velocity;
-        const char* name = function.factor == BasisFunction::Factor::Run    ? "change-per-run"
-                           : function.factor == BasisFunction::Factor::Time ? "change-within-run"
-                                                                            : "excess-at-start";
-        parameters.push_back(one((std::string(viscous ? "viscous-" : "") + name).c_str(), viscous ? units_.per_velocity : units_.torque,
-                                 static_cast<Eigen::Index>(i)));
-      }
-      return parameters;
-    }
-    case DriveTerm::Gravity: {
-      const auto count = static_cast<Eigen::Index>(variant.functions.size());
-      std::vector<EstimatedParameter> parameters{amplitude("amplitude", first, count, 1, std::max<Eigen::Index>(1, count / 2))};
-      if (count == 2) {
-        parameters.push_back(one("sine", units_.torque));
-        parameters.push_back(one("cosine", units_.torque, 1));
-      }
-      parameters.push_back({"multiple", "1", variant.functions.front().first,
-                            variant.shape_sd > 0.0 ? variant.shape_sd * variant.functions.front().first : kNaN});
-      return parameters;
-    }
+    case DriveTerm::FrictionDrift:
+      return drift(variant, first);
+    case DriveTerm::Gravity:
+      return gravity(variant, first);
     case DriveTerm::LoadFriction:
       return {one("friction-per-load", "1")};
     case DriveTerm::TorqueSaturation:

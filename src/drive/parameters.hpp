@@ -44,6 +44,14 @@ class Estimate {
  private:
   std::vector<EstimatedParameter> cogging(const Variant& variant, Eigen::Index at) const;
   std::vector<EstimatedParameter> asymmetry(const Variant& variant, Eigen::Index at) const;
+  std::vector<EstimatedParameter> stribeck(const Variant& variant, Eigen::Index first) const;
+  std::vector<EstimatedParameter> power_law(const Variant& variant, Eigen::Index first) const;
+  std::vector<EstimatedParameter> load_position(const Variant& variant, Eigen::Index first) const;
+  std::vector<EstimatedParameter> drift(const Variant& variant, Eigen::Index first) const;
+  std::vector<EstimatedParameter> gravity(const Variant& variant, Eigen::Index first) const;
+  /// One coefficient of a term, times a factor.
+  EstimatedParameter single(Eigen::Index first, std::string name, const std::string& unit, Eigen::Index offset = 0, double factor = 1.0) const;
+  EstimatedParameter shape_of(const Variant& variant, std::string name, const std::string& unit) const;
   EstimatedParameter amplitude(std::string name, Eigen::Index first, Eigen::Index count, Eigen::Index stride, Eigen::Index owners) const;
 
   const TorqueModel& model_;

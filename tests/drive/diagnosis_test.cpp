@@ -146,6 +146,10 @@ TEST(DriveDiagnosis, AnOffsetAndAsymmetricDryFrictionAreTwinsWhileSliding) {
   EXPECT_THAT(diagnosis.rivals.front(), ElementsAre("torque-offset", "friction-asymmetry"));
   ASSERT_EQ(diagnosis.effects.size(), 1u);
   expect_within(find(diagnosis.effects.front().parameters, "offset"), 0.03, 3.0);
+  ASSERT_TRUE(diagnosis.next_experiment);
+  EXPECT_EQ(diagnosis.next_experiment->manoeuvre, "standstill with the drive off");
+  const DriveRun& motion = diagnosis.next_experiment->trajectory;
+  EXPECT_THAT(motion.drive_enabled, ::testing::AllOf(::testing::SizeIs(motion.size()), ::testing::Each(0.0)));
 }
 
 TEST(DriveDiagnosis, FindsTwoEffects) {
@@ -313,6 +317,18 @@ TEST(DriveDiagnosis, OneDirectionCannotShowAnOffset) {
   for (const UnseenEffect& effect : diagnosis.unseen)
     if (effect.name == "torque-offset" || effect.name == "friction-asymmetry") ++unseen;
   EXPECT_EQ(unseen, 2);
+  // Hence the next record is to go both ways, within what this one showed that the drive can do.
+  ASSERT_TRUE(diagnosis.next_experiment);
+  EXPECT_THAT(diagnosis.next_experiment->why, HasSubstr("forward and backward"));
+  EXPECT_THAT(diagnosis.next_experiment->why, HasSubstr("torque-offset"));
+  const DriveRun& motion = diagnosis.next_experiment->trajectory;
+  const auto [slowest, fastest] = std::minmax_element(motion.velocity_rad_s.begin(), motion.velocity_rad_s.end());
+  EXPECT_NEAR(*slowest, -*fastest, 0.1 * *fastest);
+  const auto [lowest, highest] = std::minmax_element(run.position_rad.begin(), run.position_rad.end());
+  const auto [least, most] = std::minmax_element(motion.position_rad.begin(), motion.position_rad.end());
+  EXPECT_GE(*least, *lowest - 0.2 * (*highest - *lowest));
+  EXPECT_LE(*most, *highest + 0.2 * (*highest - *lowest));
+  for (const double torque : motion.torque_Nm) ASSERT_TRUE(std::isfinite(torque));
 }
 
 }  // namespace

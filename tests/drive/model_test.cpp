@@ -107,6 +107,39 @@ TEST(ForeignColumns, AreScaledAndUnwrappedAndMayBeMissing) {
   EXPECT_THAT(loaded->notices, ElementsAre(HasSubstr("\"other\" is ignored")));
 }
 
+TEST(ForeignColumns, AreShiftedAndSubtractedAfterLinesThatAreNotRead) {
+  const Result<DriveModel> model = parse_drive_model(
+      "[drive]\nkind = \"rotary\"\n[columns]\ntime = \"t\"\nposition = \"q\"\n"
+      "torque = {column = \"front\", minus = \"rear\", scale = 2, offset = -1}\n"
+      "[regressors]\ntemperature = {column = \"F\", scale = 0.5, offset = 10}\n"
+      "[data]\nskip_lines = 2\n",
+      "m.toml");
+  ASSERT_TRUE(model) << model.error().message;
+  const Result<LoadedRun> loaded =
+      parse_run("logger 7\nt,q,rear,front,F\nt,q,rear,front,F\n0,1,2,5,4\n1,2,4,4,8\n", "r.csv", model->columns);
+  ASSERT_TRUE(loaded) << loaded.error().message;
+  EXPECT_THAT(loaded->run.torque_Nm, ElementsAre(5, -1));
+  ASSERT_EQ(loaded->run.others.size(), 1u);
+  EXPECT_EQ(loaded->run.others.front().name, "temperature");
+  EXPECT_THAT(loaded->run.others.front().values, ElementsAre(12, 14));
+  EXPECT_THAT(loaded->notices, ::testing::IsEmpty());
+
+  const Result<LoadedRun> missing = parse_run("\n\nt,q,front,F\n0,1,2,5\n", "r.csv", model->columns);
+  ASSERT_FALSE(missing);
+  EXPECT_THAT(missing.error().message, HasSubstr("column rear is missing"));
+  const Result<LoadedRun> too_short = parse_run("t,q,rear,front,F\n0,1,2,5,4\n", "r.csv", model->columns);
+  ASSERT_FALSE(too_short);
+  EXPECT_THAT(too_short.error().message, StartsWith("r.csv:"));
+}
+
+TEST(DriveModelFile, RefusesWrongOffsetsAndLines) {
+  const std::string columns = "[drive]\nkind = \"rotary\"\n[columns]\ntime = \"t\"\nposition = \"q\"\n";
+  EXPECT_THAT(error_of(columns + "torque = {column = \"u\", offset = \"1\"}\n"), HasSubstr("offset must be a finite number"));
+  EXPECT_EQ(error_of(columns + "torque = {column = \"u\", offset = 0}\n"), "");
+  EXPECT_THAT(error_of(columns + "torque = {column = \"u\", minus = 3}\n"), HasSubstr("minus must be a text"));
+  EXPECT_THAT(error_of(columns + "torque = \"u\"\n[data]\nskip_lines = -1\n"), HasSubstr("skip_lines must be a positive number"));
+}
+
 TEST(ForeignColumns, KeepTheMessagesOfRunFiles) {
   const Result<DriveModel> model = parse_drive_model(kSmallest, "m.toml");
   ASSERT_TRUE(model);
