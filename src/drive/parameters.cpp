@@ -210,6 +210,7 @@ std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& varia
     case DriveTerm::TorqueLag:
       return {{"lag", "s", variant.lag_s, variant.shape_sd > 0.0 ? variant.shape_sd : kNaN}};
     case DriveTerm::Regressor:
+      if (two) return {one("factor", units_.torque + " per unit"), one("torque-at-mean", units_.torque, 1)};
       return {one("factor", units_.torque + " per unit")};
   }
   return {};

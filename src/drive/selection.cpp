@@ -90,7 +90,7 @@ Selector::Selector(Design& design, const DriveRange& range, const DriveModel& mo
     const auto regressor = std::ranges::find(model.regressors, name, &DriveRegressor::name);
     if (regressor->use == PartUse::Candidate)
       pool_.push_back(std::move(each));
-    else if (each.functions.front().carrier == BasisFunction::Carrier::One)
+    else if (each.functions.size() == 1 && each.functions.front().carrier == BasisFunction::Carrier::One)
       base_.push_back(std::move(each));
   }
   const Eigen::VectorXd torque = design.raw(design.target(options.lag_s));

@@ -103,9 +103,11 @@ std::vector<Variant> regressors(const DriveData& data, const DriveModel& model) 
       for (const double value : run.motion.columns[c]) sum += value, count += 1.0;
     Builder builder{DriveTerm::Regressor, "column:" + model.regressors[c].name};
     const int index = static_cast<int>(c);
+    const double mean = sum / std::max(1.0, count);
     builder.add({{Carrier::One, Factor::Column, 0.0, 1.0, index}});
-    builder.add({{Carrier::Direction, Factor::Column, sum / std::max(1.0, count), 1.0, index}});
-    builder.add({{Carrier::Velocity, Factor::Column, sum / std::max(1.0, count), 1.0, index}});
+    builder.add({{Carrier::One, Factor::Column, mean, 1.0, index}, {Carrier::One}});  // a sensor whose zero is unknown
+    builder.add({{Carrier::Direction, Factor::Column, mean, 1.0, index}});
+    builder.add({{Carrier::Velocity, Factor::Column, mean, 1.0, index}});
     for (Variant& each : builder.done()) all.push_back(std::move(each));
   }
   return all;

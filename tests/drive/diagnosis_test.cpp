@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -150,6 +151,35 @@ TEST(DriveDiagnosis, AnOffsetAndAsymmetricDryFrictionAreTwinsWhileSliding) {
   EXPECT_EQ(diagnosis.next_experiment->manoeuvre, "standstill with the drive off");
   const DriveRun& motion = diagnosis.next_experiment->trajectory;
   EXPECT_THAT(motion.drive_enabled, ::testing::AllOf(::testing::SizeIs(motion.size()), ::testing::Each(0.0)));
+}
+
+// A load cell reads the load from outside 2.5 times too small and with an offset; beside it a temperature that does nothing.
+TEST(DriveDiagnosis, NamesTheColumnThatIsPartOfTheTorque) {
+  Truth truth;
+  truth.load = [](double t) { return 0.04 * std::sin(2.9 * t) + 0.03 * std::sin(7.3 * t + 1.0) - 0.02 * std::cos(1.1 * t); };
+  std::vector<DriveRun> runs = simulate_set(truth, 312);
+  std::mt19937_64 random(313);
+  std::normal_distribution<double> normal;
+  for (DriveRun& run : runs) {
+    RunColumn cell{"load", {}}, temperature{"temperature", {}};
+    for (const double t : run.time_s) {
+      cell.values.push_back(0.4 * truth.load(t) + 3.0 + 5e-4 * normal(random));
+      temperature.values.push_back(40.0 + 0.2 * t + 0.1 * normal(random));
+    }
+    run.others = {cell, temperature};
+  }
+  const DriveModel model = drive("[regressors]\nload = \"cell\"\ntemperature = \"T\"\n");
+  const Diagnosis diagnosis = diagnosed(runs, model);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Explained) << diagnosis.summary;
+  ASSERT_THAT(names(diagnosis), ElementsAre("column:load")) << diagnosis.summary;
+  // The torque balance counts what the drive gives, so that a load against it counts positive.
+  expect_within(find(diagnosis.effects.front().parameters, "factor"), 2.5, 3.0, 0.025);
+  EXPECT_LT(diagnosis.gain->after.rms_torque_Nm, 0.6 * diagnosis.gain->before.rms_torque_Nm);
+
+  for (DriveRun& run : runs) run.others.pop_back();
+  const Result<DriveDiagnosis> missing = diagnose_drive(runs, model, {});
+  ASSERT_FALSE(missing);
+  EXPECT_THAT(missing.error().message, HasSubstr("temperature"));
 }
 
 TEST(DriveDiagnosis, FindsTwoEffects) {

@@ -21,6 +21,7 @@ struct Truth {
   };
   /// Dry friction at this speed, place and run.
   std::function<double(double position, double velocity, int run)> dry;
+  std::function<double(double time_s)> load;  ///< torque from outside that opposes the positive direction
   double bristle_rad = 0.0;  ///< of presliding; 0: rigid
   double duration_s = 12.0;
   double torque_noise = 0.01, position_noise_rad = 2e-5, disturbance = 0.004;
@@ -60,7 +61,8 @@ inline Run simulate(const Truth& truth, int run_number, unsigned seed) {
       next_s += kPeriod_s * (1.0 + truth.sample_jitter * (2.0 * uniform(random) - 1.0));
     }
     const double dry = truth.dry ? truth.dry(q, v, run_number) : truth.coulomb;
-    const double torque = command + disturbance - truth.viscous * v - truth.extra(q, v, run_number);
+    const double torque = command + disturbance - truth.viscous * v - truth.extra(q, v, run_number) -
+                          (truth.load ? truth.load(t) : 0.0);
     double moved = v + kStep_s / truth.inertia * torque;
     if (truth.bristle_rad > 0.0) {
       moved -= kStep_s / truth.inertia * dry * deflection;
