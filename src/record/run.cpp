@@ -375,16 +375,19 @@ Result<LoadedRun> read_run(const std::string& path, const ColumnMap& columns) {
 }
 
 std::string format_run(const Run& run) {
-  std::vector<const std::vector<double>*> columns{&run.torque_Nm, &run.velocity_rad_s, &run.force_N};
-  std::string text = "time_s,torque_Nm,velocity_rad_s,force_N";
-  if (!run.position_rad.empty()) {
-    text += ",position_rad";
-    columns.push_back(&run.position_rad);
-  }
-  if (!run.drive_enabled.empty()) {
-    text += ",drive_enabled";
-    columns.push_back(&run.drive_enabled);
-  }
+  std::string text = "time_s";
+  std::vector<const std::vector<double>*> columns;
+  const auto add = [&](std::string_view name, const std::vector<double>& values) {
+    if (values.empty()) return;  // the motion of a drive has no force, and no torque before it is driven
+    text += ',';
+    text += name;
+    columns.push_back(&values);
+  };
+  add("torque_Nm", run.torque_Nm);
+  add("velocity_rad_s", run.velocity_rad_s);
+  add("force_N", run.force_N);
+  add("position_rad", run.position_rad);
+  add("drive_enabled", run.drive_enabled);
   text += '\n';
   text.reserve(text.size() + run.size() * 90);
   for (std::size_t i = 0; i < run.size(); ++i) {

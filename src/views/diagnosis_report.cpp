@@ -104,7 +104,7 @@ std::string next_step(const Diagnosis& diagnosis, const DiagnosisSubject& subjec
           subject.drive ? "" : " (--save writes it)");
     case DiagnosisVerdict::Ambiguous:
       if (!diagnosis.next_experiment) return "Add runs with other manoeuvres and diagnose again.";
-      return fmt::format("Do what is said below{} and diagnose again with its runs added.", subject.drive ? "" : " (--next writes the trajectory)");
+      return "Do what is said below (--next writes the motion) and diagnose again with its runs added.";
     case DiagnosisVerdict::Unexplained:
       return "Look where the misfit is and at what it depends on. Do not trust the parameters until the "
              "cause is "

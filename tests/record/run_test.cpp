@@ -215,5 +215,12 @@ TEST(ReadRun, SaysWhichFile) {
   EXPECT_THAT(directory.error().message, HasSubstr("is a directory"));
 }
 
+TEST(RunFiles, WriteTheColumnsThatARunHas) {
+  clampd::Run motion;
+  motion.time_s = {0.0, 0.1};
+  motion.velocity_rad_s = {1.0, -1.0};
+  EXPECT_EQ(format_run(motion), "time_s,velocity_rad_s\n0,1\n0.1,-1\n");
+}
+
 }  // namespace
 }  // namespace clampd

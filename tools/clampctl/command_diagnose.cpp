@@ -97,10 +97,6 @@ Result<void> write_outputs(const DiagnoseCommand& command, const Diagnosis& diag
     if (!diagnosis.next_experiment) {
       cli::print_notice(
           fmt::format("there is no run that would settle anything: {} is not written", command.next));
-    } else if (diagnosis.next_experiment->trajectory.size() == 0) {
-      cli::print_notice(fmt::format(
-          "the next motion of a drive is said in words, since its controller is not known: {} is not written; {}", command.next,
-          diagnosis.next_experiment->why));
     } else if (Result<void> written = write_run(command.next, diagnosis.next_experiment->trajectory);
                !written) {
       return written;
