@@ -244,7 +244,8 @@ void judge_delay(RunCheck& check, const Comparison& found, const std::string& co
 bool is_swapped_with_torque(const RunCheck& check) {
   Run swapped = check.run;
   std::swap(swapped.velocity_rad_s, swapped.torque_Nm);
-  return fit_of(sum_of(products_of(pair_of(swapped), pair_of(swapped).position))).left_share < 0.01;
+  const Pair pair = pair_of(swapped);
+  return fit_of(sum_of(products_of(pair, pair.position))).left_share < 0.01;
 }
 
 }  // namespace

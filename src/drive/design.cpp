@@ -35,6 +35,11 @@ Solution solved(const Eigen::MatrixXd& gram, const Eigen::VectorXd& right) {
   return solution;
 }
 
+/// What coefficients leave of a block, by its products.
+double square_left(const Eigen::VectorXd& coefficients, const Eigen::MatrixXd& gram, const Eigen::VectorXd& right, double square) {
+  return std::max(0.0, square - 2.0 * coefficients.dot(right) + coefficients.dot(gram * coefficients));
+}
+
 }  // namespace
 
 Design::Design(const DriveData& data, const RowNoise& noise) : data_(data), noise_(noise), whitener_(data, noise) {
@@ -47,7 +52,7 @@ void Design::divide_into_blocks() {
   for (const DriveRows& run : data_.runs)
     if (!run.heldout) fitted_rows_ += static_cast<double>(run.size());
   const double memory_rows =
-      noise_.memory_share > 0.05 && data_.cut_off_Hz > 0.0 ? noise_.memory_s * data_.cut_off_Hz / 0.4 : 1.0;
+      noise_.memory_share > 0.05 && data_.cut_off_Hz > 0.0 ? noise_.memory_s * data_.cut_off_Hz / kRowsPerCutOff : 1.0;
   const double blocks = std::clamp(fitted_rows_ / std::max(4.0, 4.0 * memory_rows), static_cast<double>(kLeastBlocks),
                                    static_cast<double>(kMostBlocks));
   const double wanted = std::max(1.0, fitted_rows_ / blocks);
@@ -190,37 +195,27 @@ std::vector<double> Design::left_out(const Fit& fit) const {
       result[static_cast<std::size_t>(b)] = std::numeric_limits<double>::quiet_NaN();
     for (int b = fold; known && b < fitted_blocks_; b += kFolds) {
       products_of(fit, b, block_gram, block_right, block_square);
-      result[static_cast<std::size_t>(b)] =
-          std::max(0.0, block_square - 2.0 * others.coefficients.dot(block_right) +
-                            others.coefficients.dot(block_gram * others.coefficients));
+      result[static_cast<std::size_t>(b)] = square_left(others.coefficients, block_gram, block_right, block_square);
     }
   }
   return result;
 }
 
-std::vector<double> Design::fitted_squares(const Fit& fit) const {
+std::vector<double> Design::squares(const Fit& fit, int from_block, int to_block) const {
   std::vector<double> result;
   Eigen::MatrixXd gram;
   Eigen::VectorXd right;
   double square = 0.0;
-  for (int b = 0; b < fitted_blocks_; ++b) {
+  for (int b = from_block; b < to_block; ++b) {
     products_of(fit, b, gram, right, square);
-    result.push_back(std::max(0.0, square - 2.0 * fit.coefficients.dot(right) + fit.coefficients.dot(gram * fit.coefficients)));
+    result.push_back(square_left(fit.coefficients, gram, right, square));
   }
   return result;
 }
 
-std::vector<double> Design::held_out(const Fit& fit) const {
-  std::vector<double> result;
-  Eigen::MatrixXd gram;
-  Eigen::VectorXd right;
-  double square = 0.0;
-  for (int b = fitted_blocks_; b < blocks(); ++b) {
-    products_of(fit, b, gram, right, square);
-    result.push_back(std::max(0.0, square - 2.0 * fit.coefficients.dot(right) + fit.coefficients.dot(gram * fit.coefficients)));
-  }
-  return result;
-}
+std::vector<double> Design::fitted_squares(const Fit& fit) const { return squares(fit, 0, fitted_blocks_); }
+
+std::vector<double> Design::held_out(const Fit& fit) const { return squares(fit, fitted_blocks_, blocks()); }
 
 Eigen::MatrixXd Design::covariance(const Fit& fit) const {
   Eigen::MatrixXd gram, block_gram;

@@ -75,8 +75,7 @@ class Design {
 
  private:
   void divide_into_blocks();
-  double product(int block, int a, int b) const;
-  Eigen::MatrixXd products(const std::vector<int>& columns, int from_block, int to_block) const;
+  std::vector<double> squares(const Fit& fit, int from_block, int to_block) const;
   void products_of(const Fit& fit, int block, Eigen::MatrixXd& gram, Eigen::VectorXd& right, double& square) const;
 
   const DriveData& data_;

@@ -8,6 +8,7 @@
 #include <Eigen/Core>
 
 #include "clampd/statistics/symmetric.hpp"
+#include "src/drive/data_check.hpp"
 
 namespace clampd {
 namespace {
@@ -49,17 +50,6 @@ Motion motion_at(const Run& run, std::size_t row, double half_width_s) {
   return motion;
 }
 
-std::vector<double> differences_of(const Run& run) {
-  std::vector<double> velocity;
-  const std::size_t n = run.size();
-  for (std::size_t i = 0; i < n; ++i) {
-    const std::size_t before = i > 0 ? i - 1 : i, after = i + 1 < n ? i + 1 : i;
-    velocity.push_back((run.position_rad[after] - run.position_rad[before]) /
-                       (run.time_s[after] - run.time_s[before]));
-  }
-  return velocity;
-}
-
 /// One run under one model.
 class ForwardSimulation {
  public:
@@ -70,7 +60,7 @@ class ForwardSimulation {
       for (const RunColumn& column : run.others)
         if (column.name == regressor.name) recorded_.push_back(&column.values);
     const std::vector<double> velocity =
-        run.velocity_rad_s.empty() ? differences_of(run) : run.velocity_rad_s;
+        run.velocity_rad_s.empty() ? data_check::differences(run.time_s, run.position_rad) : run.velocity_rad_s;
     for (const double v : velocity) fastest_ = std::max(fastest_, std::abs(v));
     double largest = 0.0;
     for (const double x : run.position_rad) largest = std::max(largest, std::abs(x));
@@ -173,7 +163,7 @@ std::vector<PredictedQuantity> recorded_quantities(const Run& run, const DriveMo
     quantities.push_back({"position", std::string(model.position_unit()), run.position_rad,
                           std::vector<double>(run.size(), kNone)});
   quantities.push_back({"velocity", std::string(model.position_unit()) + "/s",
-                        run.velocity_rad_s.empty() ? differences_of(run) : run.velocity_rad_s,
+                        run.velocity_rad_s.empty() ? data_check::differences(run.time_s, run.position_rad) : run.velocity_rad_s,
                         std::vector<double>(run.size(), kNone)});
   return quantities;
 }

@@ -202,6 +202,11 @@ double repeats_noise(const Design& design, const Eigen::VectorXd& residuals) {
   return rows > 0.0 ? least / rows : 0.0;
 }
 
+/// +1 in rows that go forward, -1 in all others.
+Eigen::VectorXd side_of(const DriveRows& run) {
+  return run.direction.unaryExpr([](double d) { return d > 0.0 ? 1.0 : -1.0; });
+}
+
 }  // namespace
 
 bool Remainder::is_noise() const {
@@ -218,7 +223,7 @@ Eigen::VectorXd variable_of(const Design& design, std::string_view name, const D
     if (name == "velocity") part = run.velocity;
     else if (name == "acceleration") part = run.acceleration;
     else if (name == "position") part = run.position;
-    else if (name == "direction") part = run.direction.unaryExpr([](double d) { return d > 0.0 ? 1.0 : -1.0; });
+    else if (name == "direction") part = side_of(run);
     else if (name == "time") part = run.time_s;
     else if (name == "run") part.setConstant(run.run);
     else if (name == "travel") part = run.travel;
@@ -234,7 +239,7 @@ double free_function_share(const Design& design, const Eigen::VectorXd& residual
   Eigen::VectorXd direction(design.rows());
   Eigen::Index first = 0;
   for (const DriveRows& run : design.data().runs) {
-    direction.segment(first, static_cast<Eigen::Index>(run.size())) = run.direction.unaryExpr([](double d) { return d > 0.0 ? 1.0 : -1.0; });
+    direction.segment(first, static_cast<Eigen::Index>(run.size())) = side_of(run);
     first += static_cast<Eigen::Index>(run.size());
   }
   const std::vector<int> level = levels_of(design, variable, kLevels, levels);
@@ -264,6 +269,9 @@ std::vector<DependenceTest> dependences(const Design& design, const TorqueModel&
   names.emplace_back("direction");
   names.emplace_back("time");
   if (design.data().runs.size() > 1) names.emplace_back("run");
+  // By the rows' own memory there are fewer independent ones.
+  const double rho = std::clamp(neighbour_correlation(design, residuals), 0.0, 0.99);
+  const double independent = (1.0 - rho) / (1.0 + rho);
   const double rows = design.fitted_rows();
   for (const std::string& name : names) {
     DependenceTest test;
@@ -271,9 +279,7 @@ std::vector<DependenceTest> dependences(const Design& design, const TorqueModel&
     test.share = free_function_share(design, residuals, variable_of(design, name, drive));
     if (test.share < kLeastDependence) continue;
     test.dependence.gain = -0.5 * rows * std::log(std::max(1e-12, 1.0 - test.share));
-    // By the rows' own memory there are fewer independent ones.
-    const double rho = std::clamp(neighbour_correlation(design, residuals), 0.0, 0.99);
-    test.dependence.gain *= (1.0 - rho) / (1.0 + rho);
+    test.dependence.gain *= independent;
     test.dependence.p_value = std::min(1.0, std::exp(-test.dependence.gain));  // held out, so that no level is counted against it
     tests.push_back(std::move(test));
   }

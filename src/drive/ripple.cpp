@@ -56,7 +56,7 @@ Scan scanned(const Design& design, const Eigen::VectorXd& residuals, double lowe
     first += static_cast<Eigen::Index>(run.size());
   }
   const std::vector<std::size_t> used = scanned_runs(data);
-  const double filter_s = std::sqrt(std::log(2.0)) / (2.0 * M_PI * data.cut_off_Hz);
+  const double filter_s = gaussian_sd_s(data.cut_off_Hz);
   for (const std::size_t r : used) {
     const DriveRows& run = data.runs[r];
     std::vector<std::complex<double>> mine(orders, 0.0);

@@ -46,7 +46,6 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 /// More rows than this tell a model of some twenty coefficients nothing new; the cut-off is lowered instead.
 constexpr double kMostRows = 40'000.0;
 constexpr double kHighestCutOff = 0.12;    ///< of the sampling rate: the filter is then a sample wide, and its derivatives are true
-constexpr double kRowsPerCutOff = 0.4;     ///< distance of rows at a cut-off of 1 Hz: neighbours correlate by a tenth
 constexpr double kSamplesPerRow = 12.0;    ///< more are averaged first
 constexpr double kAccelerationNoise = 0.01;  ///< of the torque, root mean square, what the noise of the acceleration may make of it
 
@@ -152,9 +151,6 @@ Smoothed smooth(std::span<const double> time_s, std::span<const double> x, doubl
   result.first_noise = noise * quantile(std::move(derivative_factors), 0.5);
   return result;
 }
-
-/// Of a Gaussian with -3 dB at the cut-off.
-double gaussian_sd_s(double cut_off_Hz) { return std::sqrt(std::log(2.0)) / (2.0 * M_PI * cut_off_Hz); }
 
 /// Share of a time each sample stands for.
 double cell_s(std::span<const double> time_s, std::size_t i) {
@@ -353,10 +349,11 @@ DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz, Dr
   const double sd_s = gaussian_sd_s(cut_off_Hz);
   const double margin_s = 3.0 * sd_s + 1.0 / (3.0 * cut_off_Hz);
   const double step_s = kRowsPerCutOff / cut_off_Hz;
+  const double longest_gap_s = std::max(step_s, 3.0 * median_step(time_s));
   for (double at_s = margin_s; at_s <= time_s.back() - margin_s; at_s += step_s) {
     std::size_t first = 0;
     std::vector<double> weights = kernel(time_s, at_s, sd_s, first);
-    const RowUse use = use_of(rows, run, first, weights, std::max(step_s, 3.0 * median_step(time_s)));
+    const RowUse use = use_of(rows, run, first, weights, longest_gap_s);
     seconds[static_cast<std::size_t>(use)] += step_s;
     if (use == RowUse::Used || (use == RowUse::Reversal && data.keeps_reversals)) RowsBuilder::add(rows, at_s, first, std::move(weights));
   }
@@ -393,11 +390,6 @@ double acceleration_noise(const Run& run, double cut_off_Hz) {
   if (!run.position_rad.empty())
     return white_noise(run.time_s, run.position_rad, 3) * std::sqrt(step_s * 3.0 / (8.0 * std::sqrt(M_PI)) / std::pow(sd_s, 5));
   return white_noise(run.time_s, run.velocity_rad_s, 2) * std::sqrt(step_s / (4.0 * std::sqrt(M_PI)) / std::pow(sd_s, 3));
-}
-
-void add_notices(const DriveData& data, DriveData& to) {
-  for (const DriveRows& run : data.runs)
-    if (run.size() == 0) to.notices.push_back(fmt::format("{}: the drive does not move in it", run.name));
 }
 
 void count_rows(std::span<const Run> runs, const std::array<double, kRowUses>& seconds, DriveData& data) {
@@ -506,6 +498,8 @@ DriveState DriveMotion::state(std::size_t i, int run, std::vector<double>& colum
   return {time_s[i], run, position[i], velocity[i], acceleration[i], direction[i], travel[i], columns_here};
 }
 
+double gaussian_sd_s(double cut_off_Hz) { return std::sqrt(std::log(2.0)) / (2.0 * M_PI * cut_off_Hz); }
+
 Eigen::VectorXd DriveRows::filtered(std::span<const double> samples) const {
   Eigen::VectorXd result(static_cast<Eigen::Index>(rows_.size()));
   for (std::size_t r = 0; r < rows_.size(); ++r) {
@@ -560,7 +554,8 @@ Result<DriveData> prepare(std::span<const Run> runs, std::size_t heldout_from, c
     }
     data = prepare_at(runs, heldout_from, model, cut_off_Hz);
   }
-  add_notices(data, data);
+  for (const DriveRows& run : data.runs)
+    if (run.size() == 0) data.notices.push_back(fmt::format("{}: the drive does not move in it", run.name));
   std::erase_if(data.runs, [](const DriveRows& run) { return run.size() == 0; });
   if (std::ranges::none_of(data.runs, [](const DriveRows& run) { return !run.heldout; }))
     return failure("the drive stands still in every run; nothing can be told of it");

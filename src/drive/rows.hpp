@@ -16,6 +16,12 @@ namespace clampd::drive {
 /// Of a run; fewer tell nothing.
 inline constexpr std::size_t kLeastSamples = 20;
 
+/// Distance of rows at a cut-off of 1 Hz: neighbours correlate by a tenth.
+inline constexpr double kRowsPerCutOff = 0.4;
+
+/// Standard deviation of the rows' filter, a Gaussian with -3 dB at the cut-off.
+double gaussian_sd_s(double cut_off_Hz);
+
 /// One run's motion, sample by sample (or average by average).
 struct DriveMotion {
   std::vector<double> time_s;  ///< since the run began
