@@ -38,20 +38,9 @@ struct DiagnoseCommand {
 };
 
 Result<void> check_outputs(const DiagnoseCommand& command) {
-  const std::array outputs{std::pair{"--json", &command.json}, std::pair{"--report", &command.report},
-                           std::pair{"--save", &command.save}, std::pair{"--next", &command.next}};
-  for (std::size_t i = 0; i < outputs.size(); ++i) {
-    const auto& [option, path] = outputs[i];
-    if (path->empty()) continue;
-    if (*path == "-" && path != &command.json)
-      return failure(fmt::format("{} needs the name of a file", option));
-    for (std::size_t other = 0; other < i; ++other)
-      if (*outputs[other].second == *path)
-        return failure(fmt::format("{} and {} name the same file", outputs[other].first, option));
-    const bool is_run = path == &command.next;
-    if (Result<void> writable = is_run ? cli::check_writable(*path) : cli::check_document(*path); !writable)
-      return writable;
-  }
+  const std::array outputs{cli::OutputOption{"--json", command.json}, cli::OutputOption{"--report", command.report},
+                           cli::OutputOption{"--save", command.save}, cli::OutputOption{"--next", command.next, false}};
+  if (Result<void> checked = cli::check_outputs(outputs); !checked) return checked;
   for (const std::string& held : command.heldout)
     if (std::find(command.files.begin(), command.files.end(), held) != command.files.end())
       return failure(fmt::format("{} cannot be fitted and held out; name it once", held));

@@ -15,10 +15,10 @@
 #include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
 #include "clampd/views/figure.hpp"
+#include "clampd/views/prediction.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
-#include "clampd/views/prediction.hpp"
 
 namespace clampd::ctl {
 
@@ -33,21 +33,11 @@ struct PredictCommand {
 };
 
 Result<void> check_outputs(const PredictCommand& command) {
-  const std::array outputs{std::pair{"--json", &command.json}, std::pair{"--out", &command.out},
-                           std::pair{"--report", &command.report}};
-  for (std::size_t i = 0; i < outputs.size(); ++i) {
-    const auto& [option, path] = outputs[i];
-    if (path->empty()) continue;
-    if (*path == "-" && path != &command.json)
-      return failure(fmt::format("{} needs the name of a file", option));
-    for (std::size_t other = 0; other < i; ++other)
-      if (*outputs[other].second == *path)
-        return failure(fmt::format("{} and {} name the same file", outputs[other].first, option));
-    if (std::ranges::find(command.files, *path) != command.files.end() || *path == command.model)
-      return failure(fmt::format("{} would overwrite {}, which is read", option, *path));
-    Result<void> writable = path == &command.out ? cli::check_writable(*path) : cli::check_document(*path);
-    if (!writable) return writable;
-  }
+  std::vector<std::string> read = command.files;
+  read.push_back(command.model);
+  const std::array outputs{cli::OutputOption{"--json", command.json}, cli::OutputOption{"--out", command.out, false},
+                           cli::OutputOption{"--report", command.report}};
+  if (Result<void> checked = cli::check_outputs(outputs, read); !checked) return checked;
   return command.report.empty() ? Result<void>{} : report::can_draw();
 }
 

@@ -2,6 +2,7 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <filesystem>
 
 #include <fmt/format.h>
@@ -39,6 +40,20 @@ Result<void> check_document(const std::string& path) {
                     "result another name, and that before the runs",
                     path));
   return check_writable(path);
+}
+
+Result<void> check_outputs(std::span<const OutputOption> outputs, const std::vector<std::string>& read) {
+  for (std::size_t i = 0; i < outputs.size(); ++i) {
+    const auto& [option, path, is_document] = outputs[i];
+    if (path.empty()) continue;
+    if (path == "-" && option != "--json") return failure(fmt::format("{} needs the name of a file", option));
+    for (const OutputOption& other : outputs.first(i))
+      if (other.path == path) return failure(fmt::format("{} and {} name the same file", other.option, option));
+    if (std::ranges::find(read, path) != read.end())
+      return failure(fmt::format("{} would overwrite {}, which is read", option, path));
+    if (Result<void> writable = is_document ? check_document(path) : check_writable(path); !writable) return writable;
+  }
+  return {};
 }
 
 Result<void> write_json(const std::string& path, const nlohmann::ordered_json& document) {
