@@ -9,6 +9,7 @@
 
 #include "clampd/drive/model.hpp"
 #include "clampd/record/file.hpp"
+#include "src/drive/strict_reader.hpp"
 
 /// The section [fitted] of a model file: terms with their functions, coefficients and covariance.
 namespace clampd {
@@ -110,9 +111,9 @@ toml::table fitted_table(const FittedDrive& drive) {
   return table;
 }
 
-class FittedReader {
+class FittedReader : public drive::StrictReader {
  public:
-  FittedReader(const toml::table& document, const std::string& path) : document_(document), path_(path) {}
+  using StrictReader::StrictReader;
 
   FittedDrive read(DriveModel model) {
     FittedDrive drive;
@@ -136,14 +137,7 @@ class FittedReader {
     return drive;
   }
 
-  const std::optional<Error>& error() const { return error_; }
-
  private:
-  void refuse(const toml::node& where, const std::string& message) {
-    const toml::source_position at = where.source().begin;
-    if (!error_) error_ = Error{fmt::format("{}:{}:{}: {}", path_, at.line, at.column, message)};
-  }
-
   double number(const toml::table& table, std::string_view key, double otherwise) {
     const toml::node* node = table.get(key);
     if (node == nullptr) return otherwise;
@@ -212,10 +206,6 @@ class FittedReader {
     }
     if (!square) refuse(*rows, fmt::format("covariance must have {} rows of {} numbers, one for each coefficient", count, count));
   }
-
-  const toml::table& document_;
-  const std::string& path_;
-  std::optional<Error> error_;
 };
 
 }  // namespace

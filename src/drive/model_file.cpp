@@ -1,7 +1,7 @@
 #include "clampd/drive/model.hpp"
 
-#include <cmath>
 #include <algorithm>
+#include <cmath>
 #include <initializer_list>
 #include <limits>
 #include <optional>
@@ -11,16 +11,16 @@
 #include <toml++/toml.h>
 
 #include "clampd/record/file.hpp"
+#include "src/drive/strict_reader.hpp"
 
 namespace clampd {
 namespace {
 
 constexpr std::size_t kBaseTerms = 3;
 
-/// Reads the document strictly and keeps the first error.
-class ModelReader {
+class ModelReader : public drive::StrictReader {
  public:
-  ModelReader(const toml::table& document, const std::string& path) : document_(document), path_(path) {}
+  using StrictReader::StrictReader;
 
   DriveModel read() {
     DriveModel model;
@@ -37,14 +37,7 @@ class ModelReader {
     return model;
   }
 
-  const std::optional<Error>& error() const { return error_; }
-
  private:
-  void refuse(const toml::node& where, const std::string& message) {
-    const toml::source_position at = where.source().begin;
-    if (!error_) error_ = Error{fmt::format("{}:{}:{}: {}", path_, at.line, at.column, message)};
-  }
-
   void known(const toml::table& table, std::string_view name, std::initializer_list<std::string_view> keys) {
     for (const auto& [key, node] : table) {
       bool found = false;
@@ -214,10 +207,6 @@ class ModelReader {
       }
     }
   }
-
-  const toml::table& document_;
-  const std::string& path_;
-  std::optional<Error> error_;
 };
 
 }  // namespace

@@ -25,10 +25,12 @@
 #include "clampd/diagnose/diagnosis.hpp"
 #include "clampd/record/file.hpp"
 #include "tests/support/blind/detectability.hpp"
+#include "tests/support/rate.hpp"
 
 namespace clampd::bench {
 namespace {
 
+using support::Rate;
 namespace fs = std::filesystem;
 using blind::BlindSet;
 using blind::Generator;
@@ -263,34 +265,15 @@ Score diagnose_one(const Request& request, const Options& options, Diagnosis* de
   return score;
 }
 
-/// Wilson's interval, 95 %.
-struct Share {
-  int hits = 0, of = 0;
-
-  void add(bool hit) {
-    hits += hit ? 1 : 0;
-    ++of;
-  }
-  std::string text() const {
-    if (of == 0) return "       -";
-    constexpr double kZ = 1.96;
-    const double n = of, p = hits / n, z2 = kZ * kZ / n;
-    const double middle = (p + 0.5 * z2) / (1.0 + z2);
-    const double half = kZ * std::sqrt(p * (1.0 - p) / n + 0.25 * z2 / n) / (1.0 + z2);
-    return fmt::format("{:5.1f} % [{:4.1f}, {:5.1f}]  {}/{}", 100.0 * p, 100.0 * std::max(0.0, middle - half),
-                       100.0 * std::min(1.0, middle + half), hits, of);
-  }
-};
-
 template <class Filter, class Hit>
-Share share(const std::vector<Score>& scores, Filter filter, Hit hit) {
-  Share result;
+Rate share(const std::vector<Score>& scores, Filter filter, Hit hit) {
+  Rate result;
   for (const Score& score : scores)
     if (score.error.empty() && filter(score)) result.add(hit(score));
   return result;
 }
 
-void line(const char* what, const Share& share, const char* target) {
+void line(const char* what, const Rate& share, const char* target) {
   fmt::print("  {:<46} {:<32} {}\n", what, share.text(), target);
 }
 
