@@ -36,13 +36,15 @@ Solution solved(const Eigen::MatrixXd& gram, const Eigen::VectorXd& right) {
 }
 
 /// What coefficients leave of a block, by its products.
-double square_left(const Eigen::VectorXd& coefficients, const Eigen::MatrixXd& gram, const Eigen::VectorXd& right, double square) {
+double square_left(const Eigen::VectorXd& coefficients, const Eigen::MatrixXd& gram,
+                   const Eigen::VectorXd& right, double square) {
   return std::max(0.0, square - 2.0 * coefficients.dot(right) + coefficients.dot(gram * coefficients));
 }
 
 }  // namespace
 
-Design::Design(const DriveData& data, const RowNoise& noise) : data_(data), noise_(noise), whitener_(data, noise) {
+Design::Design(const DriveData& data, const RowNoise& noise)
+    : data_(data), noise_(noise), whitener_(data, noise) {
   for (const DriveRows& run : data.runs) count_ += static_cast<Eigen::Index>(run.size());
   divide_into_blocks();
   known_ = Eigen::VectorXd::Zero(count_);
@@ -51,10 +53,11 @@ Design::Design(const DriveData& data, const RowNoise& noise) : data_(data), nois
 void Design::divide_into_blocks() {
   for (const DriveRows& run : data_.runs)
     if (!run.heldout) fitted_rows_ += static_cast<double>(run.size());
-  const double memory_rows =
-      noise_.memory_share > 0.05 && data_.cut_off_Hz > 0.0 ? noise_.memory_s * data_.cut_off_Hz / kRowsPerCutOff : 1.0;
-  const double blocks = std::clamp(fitted_rows_ / std::max(4.0, 4.0 * memory_rows), static_cast<double>(kLeastBlocks),
-                                   static_cast<double>(kMostBlocks));
+  const double memory_rows = noise_.memory_share > 0.05 && data_.cut_off_Hz > 0.0
+                                 ? noise_.memory_s * data_.cut_off_Hz / kRowsPerCutOff
+                                 : 1.0;
+  const double blocks = std::clamp(fitted_rows_ / std::max(4.0, 4.0 * memory_rows),
+                                   static_cast<double>(kLeastBlocks), static_cast<double>(kMostBlocks));
   const double wanted = std::max(1.0, fitted_rows_ / blocks);
   std::vector<std::pair<Eigen::Index, Eigen::Index>> heldout;
   Eigen::Index first = 0;
@@ -79,8 +82,10 @@ Eigen::VectorXd Design::rows_of(const BasisFunction& function) const {
   const bool periodic = function.factor == Factor::Sine || function.factor == Factor::Cosine;
   using Carrier = BasisFunction::Carrier;
   for (const DriveRows& run : data_.runs) {
-    if (function.factor == Factor::One && (function.carrier == Carrier::Acceleration || function.carrier == Carrier::Velocity)) {
-      result.segment(first, static_cast<Eigen::Index>(run.size())) = function.carrier == Carrier::Velocity ? run.velocity : run.acceleration;
+    if (function.factor == Factor::One &&
+        (function.carrier == Carrier::Acceleration || function.carrier == Carrier::Velocity)) {
+      result.segment(first, static_cast<Eigen::Index>(run.size())) =
+          function.carrier == Carrier::Velocity ? run.velocity : run.acceleration;
       first += static_cast<Eigen::Index>(run.size());
       continue;
     }
@@ -88,8 +93,10 @@ Eigen::VectorXd Design::rows_of(const BasisFunction& function) const {
     std::vector<double> samples(motion.time_s.size()), columns;
     for (std::size_t i = 0; i < samples.size(); ++i) {
       samples[i] = value_of(function, motion.state(i, run.run, columns));
-      // What turns by more than four fifths of half a period from one reading to the next is an alias of something else.
-      if (periodic && function.first * std::abs(motion.velocity[i]) * data_.sample_s > 0.8 * M_PI) samples[i] = 0.0;
+      // What turns by more than four fifths of half a period from one reading to the next is an alias of
+      // something else.
+      if (periodic && function.first * std::abs(motion.velocity[i]) * data_.sample_s > 0.8 * M_PI)
+        samples[i] = 0.0;
     }
     const auto size = static_cast<Eigen::Index>(run.size());
     result.segment(first, size) = run.filtered(samples);
@@ -127,7 +134,8 @@ int Design::add(const Eigen::VectorXd& raw) {
   const Eigen::VectorXd& mine = whitened_.back();
   if (total_.rows() < size) {
     const Eigen::Index capacity = std::max<Eigen::Index>(64, 2 * total_.rows());
-    for (Eigen::MatrixXd& each : products_) each.conservativeResizeLike(Eigen::MatrixXd::Zero(capacity, capacity));
+    for (Eigen::MatrixXd& each : products_)
+      each.conservativeResizeLike(Eigen::MatrixXd::Zero(capacity, capacity));
     total_.conservativeResizeLike(Eigen::MatrixXd::Zero(capacity, capacity));
   }
   for (Eigen::Index j = 0; j < size; ++j) {
@@ -145,7 +153,8 @@ int Design::add(const Eigen::VectorXd& raw) {
   return static_cast<int>(size) - 1;
 }
 
-void Design::products_of(const Fit& fit, int block, Eigen::MatrixXd& gram, Eigen::VectorXd& right, double& square) const {
+void Design::products_of(const Fit& fit, int block, Eigen::MatrixXd& gram, Eigen::VectorXd& right,
+                         double& square) const {
   const Eigen::MatrixXd& all = block < 0 ? total_ : products_[static_cast<std::size_t>(block)];
   const auto count = static_cast<Eigen::Index>(fit.columns.size());
   gram.resize(count, count);
@@ -153,7 +162,8 @@ void Design::products_of(const Fit& fit, int block, Eigen::MatrixXd& gram, Eigen
   for (Eigen::Index i = 0; i < count; ++i) {
     const int column = fit.columns[static_cast<std::size_t>(i)];
     right[i] = all(column, fit.target);
-    for (Eigen::Index j = 0; j < count; ++j) gram(i, j) = all(column, fit.columns[static_cast<std::size_t>(j)]);
+    for (Eigen::Index j = 0; j < count; ++j)
+      gram(i, j) = all(column, fit.columns[static_cast<std::size_t>(j)]);
   }
   square = all(fit.target, fit.target);
 }
@@ -190,12 +200,14 @@ std::vector<double> Design::left_out(const Fit& fit) const {
     }
     const Solution others = solved(rest, rest_right);
     bool known = others.ok;
-    for (Eigen::Index j = 0; known && j < rest.rows(); ++j) known = others.inverse(j, j) < kLostInformation * all.inverse(j, j);
+    for (Eigen::Index j = 0; known && j < rest.rows(); ++j)
+      known = others.inverse(j, j) < kLostInformation * all.inverse(j, j);
     for (int b = fold; !known && b < fitted_blocks_; b += kFolds)
       result[static_cast<std::size_t>(b)] = std::numeric_limits<double>::quiet_NaN();
     for (int b = fold; known && b < fitted_blocks_; b += kFolds) {
       products_of(fit, b, block_gram, block_right, block_square);
-      result[static_cast<std::size_t>(b)] = square_left(others.coefficients, block_gram, block_right, block_square);
+      result[static_cast<std::size_t>(b)] =
+          square_left(others.coefficients, block_gram, block_right, block_square);
     }
   }
   return result;
@@ -213,9 +225,13 @@ std::vector<double> Design::squares(const Fit& fit, int from_block, int to_block
   return result;
 }
 
-std::vector<double> Design::fitted_squares(const Fit& fit) const { return squares(fit, 0, fitted_blocks_); }
+std::vector<double> Design::fitted_squares(const Fit& fit) const {
+  return squares(fit, 0, fitted_blocks_);
+}
 
-std::vector<double> Design::held_out(const Fit& fit) const { return squares(fit, fitted_blocks_, blocks()); }
+std::vector<double> Design::held_out(const Fit& fit) const {
+  return squares(fit, fitted_blocks_, blocks());
+}
 
 Eigen::MatrixXd Design::covariance(const Fit& fit) const {
   Eigen::MatrixXd gram, block_gram;
@@ -289,13 +305,15 @@ double Design::log_occam(const std::vector<int>& columns, int target, double var
 double Design::root_mean_square(int column) const {
   const Eigen::VectorXd& values = raw(column);
   double square = 0.0;
-  for (int b = 0; b < fitted_blocks_; ++b) square += values.segment(block(b).first, block(b).second).squaredNorm();
+  for (int b = 0; b < fitted_blocks_; ++b)
+    square += values.segment(block(b).first, block(b).second).squaredNorm();
   return std::sqrt(square / std::max(1.0, fitted_rows_));
 }
 
 Eigen::VectorXd Design::residuals(const Fit& fit) const {
   Eigen::VectorXd result = raw(fit.target);
-  for (std::size_t i = 0; i < fit.columns.size(); ++i) result -= fit.coefficients[static_cast<Eigen::Index>(i)] * raw(fit.columns[i]);
+  for (std::size_t i = 0; i < fit.columns.size(); ++i)
+    result -= fit.coefficients[static_cast<Eigen::Index>(i)] * raw(fit.columns[i]);
   return result;
 }
 

@@ -21,8 +21,9 @@ struct Fit {
   bool ok = false;      ///< false: the columns are collinear
 };
 
-/// Whitened columns of all rows, and the products of each two of them, block of rows by block. Every fit, every block left out
-/// and every comparison then costs no more than a few small matrices, on the same rows with the same likelihood.
+/// Whitened columns of all rows, and the products of each two of them, block of rows by block. Every fit,
+/// every block left out and every comparison then costs no more than a few small matrices, on the same rows
+/// with the same likelihood.
 class Design {
  public:
   Design(const DriveData& data, const RowNoise& noise);
@@ -37,7 +38,8 @@ class Design {
   void set_known(Eigen::VectorXd known) { known_ = std::move(known); }
 
   Fit fit(std::vector<int> columns, int target) const;
-  /// Whitened squares that fits to the other folds leave, block by block; NaN where the other folds hardly know some coefficient.
+  /// Whitened squares that fits to the other folds leave, block by block; NaN where the other folds hardly
+  /// know some coefficient.
   std::vector<double> left_out(const Fit& fit) const;
   /// Of the fit to all, block by block.
   std::vector<double> fitted_squares(const Fit& fit) const;
@@ -49,8 +51,8 @@ class Design {
   Eigen::MatrixXd covariance(const Fit& fit) const;
   /// How much more the blocks' scores scatter than the noise model says, on average over the columns.
   double overdispersion(const Fit& fit) const;
-  /// Logarithm of the determinant of the columns' products over the noise's variance, each with the prior that its torque is about
-  /// as large as all of it.
+  /// Logarithm of the determinant of the columns' products over the noise's variance, each with the prior
+  /// that its torque is about as large as all of it.
   double log_occam(const std::vector<int>& columns, int target, double variance) const;
 
   Eigen::VectorXd residuals(const Fit& fit) const;  ///< not whitened, all rows
@@ -66,7 +68,9 @@ class Design {
   int blocks() const { return static_cast<int>(blocks_.size()); }
   int fitted_blocks() const { return fitted_blocks_; }
   /// First row and number of rows; held-out blocks come last.
-  std::pair<Eigen::Index, Eigen::Index> block(int number) const { return blocks_[static_cast<std::size_t>(number)]; }
+  std::pair<Eigen::Index, Eigen::Index> block(int number) const {
+    return blocks_[static_cast<std::size_t>(number)];
+  }
   int fold_of(int block) const { return block % kFolds; }
   static constexpr int kFolds = 5;
 
@@ -76,7 +80,8 @@ class Design {
  private:
   void divide_into_blocks();
   std::vector<double> squares(const Fit& fit, int from_block, int to_block) const;
-  void products_of(const Fit& fit, int block, Eigen::MatrixXd& gram, Eigen::VectorXd& right, double& square) const;
+  void products_of(const Fit& fit, int block, Eigen::MatrixXd& gram, Eigen::VectorXd& right,
+                   double& square) const;
 
   const DriveData& data_;
   RowNoise noise_;
@@ -86,8 +91,9 @@ class Design {
   int fitted_blocks_ = 0;
   std::vector<std::pair<Eigen::Index, Eigen::Index>> blocks_;
   std::vector<Eigen::VectorXd> raw_, whitened_;
-  std::vector<Eigen::MatrixXd> products_;  ///< of each block, lower triangle by rows added one after the other
-  Eigen::MatrixXd total_;                  ///< of the fitted blocks
+  std::vector<Eigen::MatrixXd>
+      products_;           ///< of each block, lower triangle by rows added one after the other
+  Eigen::MatrixXd total_;  ///< of the fitted blocks
   Eigen::VectorXd known_;
   std::vector<std::pair<BasisFunction, int>> functions_;
   std::map<double, int> targets_;

@@ -31,9 +31,11 @@ constexpr std::array<UnseenReason, 4> kNeverSeen{{
     {"outliers", "single bad samples are looked for before any model"},
 }};
 
-/// A reading that is late by less than this many rows is put right without a word about the drive: a command acts until the next row.
+/// A reading that is late by less than this many rows is put right without a word about the drive: a command
+/// acts until the next row.
 constexpr double kAlignedRows = 1.0;
-/// What a free function of all columns takes of the squared rest, from which on something is missing however small the rest is.
+/// What a free function of all columns takes of the squared rest, from which on something is missing however
+/// small the rest is.
 constexpr double kStructured = 0.25;
 
 /// Rows, their noise and the model that it was taken from.
@@ -50,10 +52,13 @@ Eigen::VectorXd known_torque(const DriveData& data, const DriveRange& range, con
   Eigen::VectorXd known = Eigen::VectorXd::Zero(plain.rows());
   for (std::size_t t = 0; t < kDriveTermCount; ++t)
     if (model.parts[t].use == PartUse::Fixed)
-      known += model.parts[t].value * plain.rows_of(variants_of(static_cast<DriveTerm>(t), range, data, model).front().functions.front());
+      known +=
+          model.parts[t].value *
+          plain.rows_of(variants_of(static_cast<DriveTerm>(t), range, data, model).front().functions.front());
   for (std::size_t c = 0; c < model.regressors.size(); ++c)
     if (model.regressors[c].known_torque)
-      known += plain.rows_of({BasisFunction::Carrier::One, BasisFunction::Factor::Column, 0.0, 1.0, static_cast<int>(c)});
+      known += plain.rows_of(
+          {BasisFunction::Carrier::One, BasisFunction::Factor::Column, 0.0, 1.0, static_cast<int>(c)});
   return known;
 }
 
@@ -116,9 +121,10 @@ std::string_view variable_of_term(DriveTerm term) {
   }
 }
 
-/// Names that only approximate what a free function of their variable takes are withdrawn: that torque is on no list.
-void withdraw_approximations(Selector& selector, const Design& design, const DriveModel& model, Selection& selection,
-                             std::vector<std::string>& notices) {
+/// Names that only approximate what a free function of their variable takes are withdrawn: that torque is on
+/// no list.
+void withdraw_approximations(Selector& selector, const Design& design, const DriveModel& model,
+                             Selection& selection, std::vector<std::string>& notices) {
   constexpr double kTooMuch = 0.5, kLeast = 0.05;
   for (const std::string_view variable : {"position", "velocity"}) {
     std::vector<Variant> rest;
@@ -137,7 +143,8 @@ void withdraw_approximations(Selector& selector, const Design& design, const Dri
     const double share = free_function_share(design, left, variable_of(design, variable, model));
     const double taken = design.residuals(smaller.fit).squaredNorm() - left.squaredNorm();
     if (share < kLeast || share * left.squaredNorm() < kTooMuch * taken) continue;
-    notices.push_back(fmt::format("{} would explain less than what would still depend on {}", fmt::join(names, ", "), variable));
+    notices.push_back(fmt::format("{} would explain less than what would still depend on {}",
+                                  fmt::join(names, ", "), variable));
     selection.best = std::move(smaller);
     std::erase_if(selection.rivals, [&](const std::vector<std::string>& group) {
       return std::ranges::find(names, group.front()) != names.end();
@@ -145,15 +152,16 @@ void withdraw_approximations(Selector& selector, const Design& design, const Dri
   }
 }
 
-/// Where a function of the columns takes much of the rest, whatever fits the rest a little may only lean on it: names stay for what
-/// takes more than that.
-void withdraw_what_leans_on_the_rest(Selector& selector, const Design& design, const DriveModel& model, Selection& selection,
-                                     std::vector<std::string>& notices) {
+/// Where a function of the columns takes much of the rest, whatever fits the rest a little may only lean on
+/// it: names stay for what takes more than that.
+void withdraw_what_leans_on_the_rest(Selector& selector, const Design& design, const DriveModel& model,
+                                     Selection& selection, std::vector<std::string>& notices) {
   for (std::size_t p = 0; p < selection.best.parts.size();) {
     const Variant part = selection.best.parts[p];
     const double left = design.residuals(selection.best.fit).squaredNorm();
     const double share = explainable_share(design, selection.best, model);
-    if (!(share > kStructured) || std::ranges::find(selection.base.parts, part) != selection.base.parts.end()) {
+    if (!(share > kStructured) ||
+        std::ranges::find(selection.base.parts, part) != selection.base.parts.end()) {
       ++p;
       continue;
     }
@@ -164,9 +172,11 @@ void withdraw_what_leans_on_the_rest(Selector& selector, const Design& design, c
       ++p;
       continue;
     }
-    notices.push_back(fmt::format("{} would explain less than what would still depend on the recorded columns", part.name));
+    notices.push_back(
+        fmt::format("{} would explain less than what would still depend on the recorded columns", part.name));
     selection.best = std::move(smaller);
-    std::erase_if(selection.rivals, [&](const std::vector<std::string>& group) { return group.front() == part.name; });
+    std::erase_if(selection.rivals,
+                  [&](const std::vector<std::string>& group) { return group.front() == part.name; });
     p = 0;
   }
 }
@@ -178,7 +188,8 @@ std::vector<Variant> effects_of(const Selection& selection) {
   return effects;
 }
 
-GainFigures figures(const Design& design, const TorqueModel& model, const Remainder& remainder, const Remainder& best) {
+GainFigures figures(const Design& design, const TorqueModel& model, const Remainder& remainder,
+                    const Remainder& best) {
   GainFigures result;
   result.rms_force_N = result.rms_velocity_rad_s = kNaN;
   result.simulated_rms_force_N = result.simulated_rms_velocity_rad_s = kNaN;
@@ -195,7 +206,9 @@ GainFigures figures(const Design& design, const TorqueModel& model, const Remain
 std::vector<RunView> views_of(const Design& design, const TorqueModel& before, const TorqueModel& after) {
   std::vector<RunView> views;
   Eigen::Index row = 0;
-  const auto list = [](const Eigen::VectorXd& values) { return std::vector<double>(values.data(), values.data() + values.size()); };
+  const auto list = [](const Eigen::VectorXd& values) {
+    return std::vector<double>(values.data(), values.data() + values.size());
+  };
   const Eigen::VectorXd left_before = design.residuals(before.fit), left_after = design.residuals(after.fit);
   for (const DriveRows& run : design.data().runs) {
     const auto size = static_cast<Eigen::Index>(run.size());
@@ -215,7 +228,8 @@ std::vector<RunView> views_of(const Design& design, const TorqueModel& before, c
   return views;
 }
 
-void add_ladder(const Selection& selection, Selector& selector, const Design& design, const DriveModel& model, Diagnosis& diagnosis) {
+void add_ladder(const Selection& selection, Selector& selector, const Design& design, const DriveModel& model,
+                Diagnosis& diagnosis) {
   std::set<std::string> rivals;
   for (const auto& group : diagnosis.rivals) rivals.insert(group.begin(), group.end());
   for (std::size_t s = 0; s < selection.stages.size(); ++s)
@@ -224,7 +238,8 @@ void add_ladder(const Selection& selection, Selector& selector, const Design& de
       CandidateSummary summary;
       summary.stage = static_cast<int>(s) + 1;
       summary.name = trial.variant.name;
-      summary.location = trial.variant.term == DriveTerm::TorqueLag ? Location::Timing : Location::TorqueBalance;
+      summary.location =
+          trial.variant.term == DriveTerm::TorqueLag ? Location::Timing : Location::TorqueBalance;
       summary.predicted_gain = summary.gain = trial.gain;
       summary.parameters = static_cast<int>(std::max<std::size_t>(1, trial.variant.functions.size()));
       summary.significance_nats = std::max(0.0, trial.significance_nats);
@@ -237,11 +252,13 @@ void add_ladder(const Selection& selection, Selector& selector, const Design& de
         summary.values = Estimate(design, alone, model).effect_parameters(alone.parts.back());
       diagnosis.candidates.push_back(std::move(summary));
       if (s == 0 && !trial.impossible.empty() && trial.significant)
-        diagnosis.notices.push_back(fmt::format("{} is no explanation: {}", trial.variant.name, trial.impossible));
+        diagnosis.notices.push_back(
+            fmt::format("{} is no explanation: {}", trial.variant.name, trial.impossible));
     }
 }
 
-NamedEffect named(const Variant& effect, const Selection& selection, Selector& selector, const Estimate& estimate) {
+NamedEffect named(const Variant& effect, const Selection& selection, Selector& selector,
+                  const Estimate& estimate) {
   NamedEffect result;
   result.name = effect.name;
   result.words = words_of(effect.term);
@@ -256,12 +273,14 @@ NamedEffect named(const Variant& effect, const Selection& selection, Selector& s
   for (const Selection::Stage& stage : selection.stages)
     for (const Trial& trial : stage.trials)
       if (trial.variant.name == effect.name)
-        result.p_value = std::min(result.p_value, selection.candidates * std::exp(-std::max(0.0, trial.significance_nats)));
+        result.p_value = std::min(result.p_value,
+                                  selection.candidates * std::exp(-std::max(0.0, trial.significance_nats)));
   return result;
 }
 
 /// Periodic torques within runs at steady speeds, which count as one row each otherwise.
-void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candidates, Diagnosis& diagnosis, std::vector<std::string>& words) {
+void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candidates, Diagnosis& diagnosis,
+                       std::vector<std::string>& words) {
   const std::string name(name_of(DriveTerm::Cogging));
   if (!ripple.tested) {
     diagnosis.unseen.push_back({name, ripple.reason});
@@ -277,11 +296,14 @@ void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candi
   for (const SteadyRipple::Order& order : ripple.orders) {
     const std::string suffix = fmt::format("-{}", ++number);
     summary.values.push_back({"order" + suffix, units.order, order.order, kNaN});
-    if (!std::isnan(order.forward)) summary.values.push_back({"amplitude-forward" + suffix, units.torque, order.forward, order.forward_sd});
+    if (!std::isnan(order.forward))
+      summary.values.push_back({"amplitude-forward" + suffix, units.torque, order.forward, order.forward_sd});
     if (!std::isnan(order.backward))
-      summary.values.push_back({"amplitude-backward" + suffix, units.torque, order.backward, order.backward_sd});
+      summary.values.push_back(
+          {"amplitude-backward" + suffix, units.torque, order.backward, order.backward_sd});
     diagnosis.notices.push_back(
-        fmt::format("within the steady runs, order {} makes {:.0f} % of the torque's variance", order.order, 100.0 * order.share));
+        fmt::format("within the steady runs, order {} makes {:.0f} % of the torque's variance", order.order,
+                    100.0 * order.share));
   }
   if (summary.chosen) {
     NamedEffect effect;
@@ -298,7 +320,8 @@ void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candi
 
 std::string listed(const std::vector<std::string>& words) {
   std::string text;
-  for (std::size_t i = 0; i < words.size(); ++i) text += (i == 0 ? "" : i + 1 == words.size() ? "; and " : "; ") + words[i];
+  for (std::size_t i = 0; i < words.size(); ++i)
+    text += (i == 0 ? "" : i + 1 == words.size() ? "; and " : "; ") + words[i];
   return text;
 }
 
@@ -309,9 +332,12 @@ std::string rest_words(const Remainder& rest, const std::vector<DependenceTest>&
     if (left[i].dependence.variable != "time" && left[i].dependence.variable != "run")
       names += (names.empty() ? "" : " and ") + left[i].dependence.variable;
   if (rest.explainable >= 0.1 && !names.empty())
-    return fmt::format("depends on {}: a function of the columns could take {:.0f} % of its square", names, 100.0 * rest.explainable);
-  if (rest.correlation > 0.35) return "is smooth in time, but neither in position nor in velocity: no column shows it";
-  return fmt::format("is irregular from row to row and more than the readings' own noise ({:.2g} {})", rest.noise, units.torque);
+    return fmt::format("depends on {}: a function of the columns could take {:.0f} % of its square", names,
+                       100.0 * rest.explainable);
+  if (rest.correlation > 0.35)
+    return "is smooth in time, but neither in position nor in velocity: no column shows it";
+  return fmt::format("is irregular from row to row and more than the readings' own noise ({:.2g} {})",
+                     rest.noise, units.torque);
 }
 
 struct RecordedRuns {
@@ -319,13 +345,15 @@ struct RecordedRuns {
   std::vector<DataFinding> findings;
 };
 
-Result<RecordedRuns> recorded_runs(std::span<const Run> runs, std::span<const Run> heldout, const DriveModel& model) {
+Result<RecordedRuns> recorded_runs(std::span<const Run> runs, std::span<const Run> heldout,
+                                   const DriveModel& model) {
   RecordedRuns readings;
   readings.runs.assign(runs.begin(), runs.end());
   readings.runs.insert(readings.runs.end(), heldout.begin(), heldout.end());
   for (const Run& run : readings.runs)
     if (run.size() < kLeastSamples)
-      return failure(fmt::format("{}: {} rows are too few; a drive's run needs {}", run.name, run.size(), kLeastSamples));
+      return failure(fmt::format("{}: {} rows are too few; a drive's run needs {}", run.name, run.size(),
+                                 kLeastSamples));
   Result<CheckedData> checked = check_data(readings.runs, model);
   if (!checked) return tl::unexpected(checked.error());
   if (checked->stops()) return failure(stop_message(*checked));
@@ -339,17 +367,20 @@ void add_preparation(const Workshop& shop, const DriveModel& model, Diagnosis& d
   diagnosis.notices = shop.data.notices;
   diagnosis.rows = shop.data.rows;
   if (!model.steady)
-    diagnosis.notices.push_back(fmt::format("both sides of the torque balance are filtered at {:.3g} Hz", shop.data.cut_off_Hz));
+    diagnosis.notices.push_back(
+        fmt::format("both sides of the torque balance are filtered at {:.3g} Hz", shop.data.cut_off_Hz));
   if (shop.options.lag_s != 0.0)
-    diagnosis.data.push_back({"torque-delay", model.columns.torque.column, shop.data.runs.front().name, shop.options.lag_s, "s",
-                              DataFinding::Severity::Mended,
-                              fmt::format("the torque acts {:.2g} ms {} its reading, less than a row; it was shifted by that much",
-                                          1e3 * std::abs(shop.options.lag_s), shop.options.lag_s > 0.0 ? "after" : "before")});
+    diagnosis.data.push_back(
+        {"torque-delay", model.columns.torque.column, shop.data.runs.front().name, shop.options.lag_s, "s",
+         DataFinding::Severity::Mended,
+         fmt::format("the torque acts {:.2g} ms {} its reading, less than a row; it was shifted by that much",
+                     1e3 * std::abs(shop.options.lag_s), shop.options.lag_s > 0.0 ? "after" : "before")});
 }
 
 /// Parameters, named effects and the model that is saved. Returns the effects in words.
-std::vector<std::string> add_model(const Workshop& shop, const Selection& selection, Selector& selector, const DriveModel& model,
-                                   std::span<const Run> runs, DriveDiagnosis& diagnosis) {
+std::vector<std::string> add_model(const Workshop& shop, const Selection& selection, Selector& selector,
+                                   const DriveModel& model, std::span<const Run> runs,
+                                   DriveDiagnosis& diagnosis) {
   const Estimate before(*shop.design, selection.base, model), after(*shop.design, selection.best, model);
   diagnosis.parameters_before = before.base_parameters();
   diagnosis.parameters_after = after.base_parameters();
@@ -364,12 +395,19 @@ std::vector<std::string> add_model(const Workshop& shop, const Selection& select
     words.emplace_back(words_of(effect.term));
   }
   if (model.steady && model.part(DriveTerm::Cogging).use == PartUse::Candidate)
-    add_steady_ripple(steady_ripple(runs, model, selection.alarm_nats), Units(model), selection.candidates, diagnosis, words);
-  diagnosis.fitted = {model, selector.terms_of(selection.best), after.covariance(), selector.lag_of(selection.best),
-                      shop.data.cut_off_Hz, shop.data.slow_speed, kNaN};
+    add_steady_ripple(steady_ripple(runs, model, selection.alarm_nats), Units(model), selection.candidates,
+                      diagnosis, words);
+  diagnosis.fitted = {model,
+                      selector.terms_of(selection.best),
+                      after.covariance(),
+                      selector.lag_of(selection.best),
+                      shop.data.cut_off_Hz,
+                      shop.data.slow_speed,
+                      kNaN};
   // Known values are certain.
   Eigen::Index coefficients = 0;
-  for (const FittedTerm& term : diagnosis.fitted.terms) coefficients += static_cast<Eigen::Index>(term.coefficients.size());
+  for (const FittedTerm& term : diagnosis.fitted.terms)
+    coefficients += static_cast<Eigen::Index>(term.coefficients.size());
   diagnosis.fitted.covariance.conservativeResizeLike(Eigen::MatrixXd::Zero(coefficients, coefficients));
   return words;
 }
@@ -386,40 +424,47 @@ double inertia_in(const std::vector<EstimatedParameter>& parameters) {
   return 0.0;
 }
 
-Rests add_rests(const Design& design, const Selection& selection, const DriveModel& model, DriveDiagnosis& diagnosis) {
+Rests add_rests(const Design& design, const Selection& selection, const DriveModel& model,
+                DriveDiagnosis& diagnosis) {
   Rests rests{remainder_of(design, selection.base, inertia_in(diagnosis.parameters_before)),
-              remainder_of(design, selection.best, inertia_in(diagnosis.parameters_after)), dependences(design, selection.best, model)};
+              remainder_of(design, selection.best, inertia_in(diagnosis.parameters_after)),
+              dependences(design, selection.best, model)};
   rests.after.explainable = explainable_share(design, selection.best, model);
   diagnosis.share_left = rests.after.share;
   diagnosis.share_explainable = rests.after.explainable;
   diagnosis.fitted.error_rms = rests.after.left;
   diagnosis.misfit.tests_before = tests_of(design, selection.base, rests.before);
   diagnosis.misfit.tests_after = tests_of(design, selection.best, rests.after);
-  for (const DependenceTest& test : rests.dependences) diagnosis.misfit.dependences.push_back(test.dependence);
+  for (const DependenceTest& test : rests.dependences)
+    diagnosis.misfit.dependences.push_back(test.dependence);
   if (!rests.dependences.empty()) diagnosis.misfit.location = Location::TorqueBalance;
   return rests;
 }
 
-void decide(const Rests& rests, const std::vector<std::string>& words, const DriveModel& model, Diagnosis& diagnosis) {
+void decide(const Rests& rests, const std::vector<std::string>& words, const DriveModel& model,
+            Diagnosis& diagnosis) {
   const Remainder& rest = rests.after;
   const bool enough = rest.share < model.good_enough || rest.is_noise();
   const bool structured = rest.explainable > kStructured && !rest.is_noise();
   const std::string what_is_left = rest_words(rest, rests.dependences, Units(model));
   const double percent = 100.0 * rest.share;
-  const std::string share = fmt::format("{:.3g} % of the torque's variation before, {:.3g} % after", 100.0 * rests.before.share, percent);
+  const std::string share = fmt::format("{:.3g} % of the torque's variation before, {:.3g} % after",
+                                        100.0 * rests.before.share, percent);
   if (diagnosis.effects.empty() && enough && !structured) {
     diagnosis.verdict = DiagnosisVerdict::Adequate;
-    diagnosis.summary =
-        fmt::format("{}: the base model explains the runs; {:.3g} % of the torque's variation is left, {}.", model.name, percent,
-                    rest.is_noise() ? "no more than the readings' own noise" : "less than what is called good enough");
+    diagnosis.summary = fmt::format(
+        "{}: the base model explains the runs; {:.3g} % of the torque's variation is left, {}.", model.name,
+        percent,
+        rest.is_noise() ? "no more than the readings' own noise" : "less than what is called good enough");
   } else if (diagnosis.effects.empty()) {
     diagnosis.verdict = DiagnosisVerdict::Unexplained;
-    diagnosis.summary = fmt::format("{}: no known effect explains the torque; {:.3g} % of its variation is left, and that {}.",
-                                    model.name, percent, what_is_left);
+    diagnosis.summary = fmt::format(
+        "{}: no known effect explains the torque; {:.3g} % of its variation is left, and that {}.",
+        model.name, percent, what_is_left);
   } else if (!enough) {
     diagnosis.verdict = DiagnosisVerdict::Unexplained;
-    diagnosis.summary =
-        fmt::format("{}: {}. Left: {}. The rest, {:.3g} %, {}.", model.name, listed(words), share, percent, what_is_left);
+    diagnosis.summary = fmt::format("{}: {}. Left: {}. The rest, {:.3g} %, {}.", model.name, listed(words),
+                                    share, percent, what_is_left);
   } else {
     diagnosis.verdict = diagnosis.rivals.empty() ? DiagnosisVerdict::Explained : DiagnosisVerdict::Ambiguous;
     diagnosis.summary = fmt::format("{}: {}. Left: {}.", model.name, listed(words), share);
@@ -433,13 +478,16 @@ void add_gain(const Workshop& shop, const Selection& selection, const Rests& res
   gain.after = figures(*shop.design, selection.best, rests.after, rests.after);
   for (const DriveRows& run : shop.data.runs)
     if (run.heldout) gain.runs.push_back(run.name);
-  if (gain.runs.empty()) diagnosis.notices.push_back("no run was held out; the gain is judged by leaving out each fifth of the rows in turn");
+  if (gain.runs.empty())
+    diagnosis.notices.push_back(
+        "no run was held out; the gain is judged by leaving out each fifth of the rows in turn");
   diagnosis.gain = std::move(gain);
 }
 
 }  // namespace
 
-Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model, const DiagnoseOptions& options) {
+Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model,
+                                      const DiagnoseOptions& options) {
   const auto started = std::chrono::steady_clock::now();
   const auto progress = [&](double share, const char* what) {
     if (options.progress) options.progress(share, what);
@@ -459,9 +507,10 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   Selector selector(design, shop.range, model, shop.options);
   Selection selection = selector.run([&](double share) { progress(0.4 + 0.5 * share, "effects"); });
   if (!selection.base.ok())
-    return failure(fmt::format("{}: the base model cannot be fitted: its parts are off, or the runs do not tell them apart; record "
-                               "both directions and several speeds, or give known values in [model]",
-                               model.file));
+    return failure(fmt::format(
+        "{}: the base model cannot be fitted: its parts are off, or the runs do not tell them apart; record "
+        "both directions and several speeds, or give known values in [model]",
+        model.file));
   progress(0.9, "what is left");
 
   DriveDiagnosis diagnosis;
@@ -475,11 +524,13 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   add_ladder(selection, selector, design, model, diagnosis);
   const Rests rests = add_rests(design, selection, model, diagnosis);
   if (!std::isfinite(rests.after.share) || !std::isfinite(rests.before.share))
-    return failure(fmt::format("{}: the torque does not change in the runs, so that nothing can be told of it", model.name));
+    return failure(fmt::format(
+        "{}: the torque does not change in the runs, so that nothing can be told of it", model.name));
   decide(rests, words, model, diagnosis);
   diagnosis.next_experiment = next_motion(diagnosis.fitted, diagnosis.rivals, selection.unseen, shop.range);
   for (const auto& [name, reason] : selection.unseen) diagnosis.unseen.push_back({name, reason.reason});
-  for (const UnseenReason& each : kNeverSeen) diagnosis.unseen.push_back({std::string(each.name), std::string(each.reason)});
+  for (const UnseenReason& each : kNeverSeen)
+    diagnosis.unseen.push_back({std::string(each.name), std::string(each.reason)});
   add_gain(shop, selection, rests, diagnosis);
   if (options.views) diagnosis.views = views_of(design, selection.base, selection.best);
   diagnosis.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();

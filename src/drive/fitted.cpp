@@ -52,7 +52,9 @@ bool loads_drive(DriveTerm term) {
   }
 }
 
-bool accelerates(DriveTerm term) { return term == DriveTerm::Inertia || term == DriveTerm::InertiaPosition; }
+bool accelerates(DriveTerm term) {
+  return term == DriveTerm::Inertia || term == DriveTerm::InertiaPosition;
+}
 
 double value_of(const BasisFunction& function, const DriveState& state, const TermSums& sums) {
   const double carrier = carried(function.carrier, state);

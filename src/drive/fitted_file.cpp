@@ -15,10 +15,12 @@
 namespace clampd {
 namespace {
 
-constexpr std::array<std::string_view, 5> kCarrierNames{"one", "acceleration", "velocity", "direction", "sliding"};
-constexpr std::array<std::string_view, 17> kFactorNames{"one",    "power",      "stribeck", "reversal", "place",       "place-squared",
-                                                        "cosine", "sine",       "time",     "time-decay", "run",       "column",
-                                                        "column-size", "static-load", "load",  "balance",  "balance-cubed"};
+constexpr std::array<std::string_view, 5> kCarrierNames{"one", "acceleration", "velocity", "direction",
+                                                        "sliding"};
+constexpr std::array<std::string_view, 17> kFactorNames{
+    "one",         "power",       "stribeck", "reversal",   "place",        "place-squared",
+    "cosine",      "sine",        "time",     "time-decay", "run",          "column",
+    "column-size", "static-load", "load",     "balance",    "balance-cubed"};
 
 template <std::size_t N>
 std::optional<std::size_t> index_of(const std::array<std::string_view, N>& names, std::string_view name) {
@@ -43,7 +45,8 @@ toml::table source_table(const ColumnSource& source) {
 }
 
 toml::table columns_table(const DriveModel& model) {
-  toml::table table{{"time", source_table(model.columns.time)}, {"torque", source_table(model.columns.torque)}};
+  toml::table table{{"time", source_table(model.columns.time)},
+                    {"torque", source_table(model.columns.torque)}};
   if (model.columns.position) table.insert("position", source_table(*model.columns.position));
   if (model.columns.velocity) table.insert("velocity", source_table(*model.columns.velocity));
   if (model.columns.drive_enabled) table.insert("drive_enabled", source_table(*model.columns.drive_enabled));
@@ -55,10 +58,10 @@ toml::table regressors_table(const DriveModel& model) {
   for (std::size_t i = 0; i < model.regressors.size(); ++i) {
     const DriveRegressor& regressor = model.regressors[i];
     toml::table each = source_table(model.columns.others[i].second);
-    each.insert("use", regressor.known_torque                   ? "known-torque"
-                       : regressor.use == PartUse::Estimate     ? "estimate"
-                       : regressor.use == PartUse::Off          ? "off"
-                                                                : "candidate");
+    each.insert("use", regressor.known_torque               ? "known-torque"
+                       : regressor.use == PartUse::Estimate ? "estimate"
+                       : regressor.use == PartUse::Off      ? "off"
+                                                            : "candidate");
     table.insert(regressor.name, each);
   }
   return table;
@@ -72,13 +75,16 @@ toml::table parts_table(const DriveModel& model) {
     if (part.use == PartUse::Fixed)
       table.insert(kDriveTermNames[i], part.value);
     else
-      table.insert(kDriveTermNames[i], part.use == PartUse::Estimate ? "estimate" : part.use == PartUse::Off ? "off" : "candidate");
+      table.insert(kDriveTermNames[i], part.use == PartUse::Estimate ? "estimate"
+                                       : part.use == PartUse::Off    ? "off"
+                                                                     : "candidate");
   }
   return table;
 }
 
 toml::table data_table(const DriveModel& model) {
-  toml::table table{{"steady", model.steady}, {"torque_held", model.torque_held}, {"good_enough", model.good_enough}};
+  toml::table table{
+      {"steady", model.steady}, {"torque_held", model.torque_held}, {"good_enough", model.good_enough}};
   if (!std::isnan(model.cut_off_Hz)) table.insert("cut_off_Hz", model.cut_off_Hz);
   if (model.columns.skip_lines > 0) table.insert("skip_lines", model.columns.skip_lines);
   return table;
@@ -99,7 +105,8 @@ toml::table fitted_table(const FittedDrive& drive) {
       if (function.index >= 0) each.insert("index", function.index);
       functions.push_back(each);
     }
-    terms.push_back(toml::table{{"name", term.name}, {"coefficients", number_array(term.coefficients)}, {"functions", functions}});
+    terms.push_back(toml::table{
+        {"name", term.name}, {"coefficients", number_array(term.coefficients)}, {"functions", functions}});
   }
   table.insert("term", terms);
   toml::array covariance;
@@ -120,7 +127,9 @@ class FittedReader : public drive::StrictReader {
     drive.model = std::move(model);
     const toml::table* fitted = document_["fitted"].as_table();
     if (fitted == nullptr) {
-      error_ = Error{fmt::format("{}: the section [fitted] is missing; write one with `clampctl diagnose ... --save {}`", path_, path_)};
+      error_ = Error{
+          fmt::format("{}: the section [fitted] is missing; write one with `clampctl diagnose ... --save {}`",
+                      path_, path_)};
       return drive;
     }
     drive.lag_s = number(*fitted, "lag_s", 0.0);
@@ -163,9 +172,12 @@ class FittedReader : public drive::StrictReader {
     function.first = number(*table, "first", 0.0);
     function.second = number(*table, "second", 1.0);
     function.index = static_cast<int>(std::clamp(number(*table, "index", -1.0), -1.0, 1e6));
-    const bool of_column = function.factor == BasisFunction::Factor::Column || function.factor == BasisFunction::Factor::ColumnSize;
-    if (of_column && (function.index < 0 || static_cast<std::size_t>(function.index) >= model.regressors.size()))
-      refuse(node, fmt::format("index {} is none of the {} regressors", function.index, model.regressors.size()));
+    const bool of_column = function.factor == BasisFunction::Factor::Column ||
+                           function.factor == BasisFunction::Factor::ColumnSize;
+    if (of_column &&
+        (function.index < 0 || static_cast<std::size_t>(function.index) >= model.regressors.size()))
+      refuse(node,
+             fmt::format("index {} is none of the {} regressors", function.index, model.regressors.size()));
     return function;
   }
 
@@ -176,7 +188,9 @@ class FittedReader : public drive::StrictReader {
     FittedTerm term;
     term.name = *text;
     const auto known = index_of(kDriveTermNames, term.name.substr(0, term.name.find(':')));
-    if (!known) return refuse(node, fmt::format("no term is called {}; known are {}", term.name, fmt::join(kDriveTermNames, ", ")));
+    if (!known)
+      return refuse(node, fmt::format("no term is called {}; known are {}", term.name,
+                                      fmt::join(kDriveTermNames, ", ")));
     term.term = static_cast<DriveTerm>(*known);
     const toml::array* functions = (*table)["functions"].as_array();
     const toml::array* coefficients = (*table)["coefficients"].as_array();
@@ -202,9 +216,12 @@ class FittedReader : public drive::StrictReader {
       const toml::array* row = (*rows)[i].as_array();
       square = row != nullptr && row->size() == count;
       for (std::size_t j = 0; square && j < count; ++j)
-        drive.covariance(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) = (*row)[j].value_or(0.0);
+        drive.covariance(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) =
+            (*row)[j].value_or(0.0);
     }
-    if (!square) refuse(*rows, fmt::format("covariance must have {} rows of {} numbers, one for each coefficient", count, count));
+    if (!square)
+      refuse(*rows, fmt::format("covariance must have {} rows of {} numbers, one for each coefficient", count,
+                                count));
   }
 };
 

@@ -94,7 +94,8 @@ class ModelReader : public drive::StrictReader {
     model.torque_unit = text(drive, "unit").value_or(model.linear ? "N" : "N m");
     const auto is = [&](const char* unit) { return model.torque_unit == unit; };
     if (!is("N m") && !is("N") && !is("A") && !is("V") && !is("%"))
-      refuse(*drive.get("unit"), "unit must be \"N m\", \"N\", \"A\", \"V\" or \"%\"; use scale for another one");
+      refuse(*drive.get("unit"),
+             "unit must be \"N m\", \"N\", \"A\", \"V\" or \"%\"; use scale for another one");
   }
 
   std::optional<ColumnSource> source(const toml::table& columns, std::string_view key) {
@@ -109,7 +110,8 @@ class ModelReader : public drive::StrictReader {
     known(*table, key, {"column", "scale", "wrap", "offset", "minus", "use"});
     const std::optional<std::string> column = text(*table, "column");
     if (!column) refuse(*node, fmt::format("columns.{} needs column = \"...\"", key));
-    ColumnSource source{column.value_or(""), number(*table, "scale", false).value_or(1.0), number(*table, "wrap", true).value_or(0.0)};
+    ColumnSource source{column.value_or(""), number(*table, "scale", false).value_or(1.0),
+                        number(*table, "wrap", true).value_or(0.0)};
     if (table->contains("offset")) source.offset = finite(*table, "offset");
     source.minus = text(*table, "minus").value_or("");
     return source;
@@ -123,7 +125,8 @@ class ModelReader : public drive::StrictReader {
     return 0.0;
   }
 
-  /// NAME = "column" or {column = "...", scale, offset, minus, use = "candidate", "estimate", "known-torque" or "off"}
+  /// NAME = "column" or {column = "...", scale, offset, minus, use = "candidate", "estimate", "known-torque"
+  /// or "off"}
   void read_regressors(const toml::table& regressors, DriveModel& model) {
     for (const auto& [key, node] : regressors) {
       const std::optional<ColumnSource> each = source(regressors, key.str());
@@ -138,7 +141,8 @@ class ModelReader : public drive::StrictReader {
       else if (use == "known-torque")
         regressor.known_torque = true;
       else if (use != "candidate")
-        refuse(node, fmt::format("use of {} must be \"candidate\", \"estimate\", \"known-torque\" or \"off\"", key.str()));
+        refuse(node, fmt::format("use of {} must be \"candidate\", \"estimate\", \"known-torque\" or \"off\"",
+                                 key.str()));
       model.regressors.push_back(regressor);
       model.columns.others.emplace_back(regressor.name, *each);
     }
@@ -177,7 +181,8 @@ class ModelReader : public drive::StrictReader {
     }
     if (const auto cut_off = number(data, "cut_off_Hz", true)) model.cut_off_Hz = *cut_off;
     if (const auto share = number(data, "good_enough", true)) model.good_enough = *share;
-    if (const auto lines = number(data, "skip_lines", true)) model.columns.skip_lines = static_cast<int>(std::min(*lines, 1e6));
+    if (const auto lines = number(data, "skip_lines", true))
+      model.columns.skip_lines = static_cast<int>(std::min(*lines, 1e6));
   }
 
   void read_parts(const toml::table& parts, DriveModel& model) {

@@ -63,18 +63,24 @@ Run standstill_with_the_drive_off() {
   return run;
 }
 
-bool holds(const std::vector<std::string>& group, const char* name) { return std::ranges::find(group, name) != group.end(); }
+bool holds(const std::vector<std::string>& group, const char* name) {
+  return std::ranges::find(group, name) != group.end();
+}
 
 }  // namespace
 
-std::optional<NextExperiment> next_motion(const FittedDrive& drive, const std::vector<std::vector<std::string>>& rivals,
-                                          const std::map<std::string, Unidentifiable>& unseen, const DriveRange& range) {
+std::optional<NextExperiment> next_motion(const FittedDrive& drive,
+                                          const std::vector<std::vector<std::string>>& rivals,
+                                          const std::map<std::string, Unidentifiable>& unseen,
+                                          const DriveRange& range) {
   NextExperiment next;
   for (const std::vector<std::string>& group : rivals)
     if (holds(group, "torque-offset") && holds(group, "friction-asymmetry")) {
       next.manoeuvre = "standstill with the drive off";
-      next.why = "while the drive slides, a constant torque and friction that differs by direction are the same; with the drive off, an "
-                 "offset of the torque reading is still there, and a load that pulls moves the drive";
+      next.why =
+          "while the drive slides, a constant torque and friction that differs by direction are the same; "
+          "with the drive off, an "
+          "offset of the torque reading is still there, and a load that pulls moves the drive";
       next.trajectory = standstill_with_the_drive_off();
       return next;
     }
@@ -84,9 +90,11 @@ std::optional<NextExperiment> next_motion(const FittedDrive& drive, const std::v
   if (rivals.empty() && motions.empty()) return std::nullopt;
   next.manoeuvre = "speeds in both directions";
   if (!rivals.empty()) {
-    next.why = fmt::format("{} do best at other speeds and places: each of six speeds up to {:.3g} {}/s, forward and backward over most of "
-                           "the range",
-                           fmt::join(rivals.front(), " and "), range.fast, drive.model.position_unit());
+    next.why = fmt::format(
+        "{} do best at other speeds and places: each of six speeds up to {:.3g} {}/s, forward and backward "
+        "over most of "
+        "the range",
+        fmt::join(rivals.front(), " and "), range.fast, drive.model.position_unit());
   } else {
     next.why = fmt::format("it would show what these runs could not: {}", fmt::join(motions, "; "));
   }

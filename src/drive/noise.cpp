@@ -6,8 +6,9 @@
 namespace clampd::drive {
 namespace {
 
-/// The noise forgets within this share of a run at most. What is smoother than that is no noise but a torque of the drive's own, such as
-/// gravity; how far it misleads is counted by the scatter over blocks (Design::overdispersion) and by what was left out.
+/// The noise forgets within this share of a run at most. What is smoother than that is no noise but a torque
+/// of the drive's own, such as gravity; how far it misleads is counted by the scatter over blocks
+/// (Design::overdispersion) and by what was left out.
 constexpr double kLeastIndependent = 100.0;
 
 }  // namespace
@@ -47,8 +48,10 @@ Eigen::VectorXd Whitener::operator()(const Eigen::VectorXd& column) const {
 RowNoise noise_of(const DriveData& data, const Eigen::VectorXd& residuals) {
   double row_s = std::numeric_limits<double>::infinity(), longest_s = 0.0;
   for (const DriveRows& run : data.runs) {
-    for (Eigen::Index i = 1; i < run.time_s.size(); ++i) row_s = std::min(row_s, run.time_s[i] - run.time_s[i - 1]);
-    if (run.time_s.size() > 1) longest_s = std::max(longest_s, run.time_s[run.time_s.size() - 1] - run.time_s[0]);
+    for (Eigen::Index i = 1; i < run.time_s.size(); ++i)
+      row_s = std::min(row_s, run.time_s[i] - run.time_s[i - 1]);
+    if (run.time_s.size() > 1)
+      longest_s = std::max(longest_s, run.time_s[run.time_s.size() - 1] - run.time_s[0]);
   }
   RowNoise best;
   if (!std::isfinite(row_s)) return best;
@@ -56,10 +59,12 @@ RowNoise noise_of(const DriveData& data, const Eigen::VectorXd& residuals) {
   const auto count = static_cast<double>(residuals.size());
   double least = std::numeric_limits<double>::infinity();
   for (const double share : {0.0, 0.15, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99}) {
-    for (double memory_s = row_s; memory_s < std::max(1.5 * row_s, longest_s / kLeastIndependent); memory_s *= 2.0) {
+    for (double memory_s = row_s; memory_s < std::max(1.5 * row_s, longest_s / kLeastIndependent);
+         memory_s *= 2.0) {
       const RowNoise noise{share, memory_s};
       const Whitener whitener(data, noise);
-      const double cost = count * std::log(whitener(residuals).squaredNorm() / count) + whitener.log_determinant();
+      const double cost =
+          count * std::log(whitener(residuals).squaredNorm() / count) + whitener.log_determinant();
       if (cost < least) {
         least = cost;
         best = noise;

@@ -21,12 +21,14 @@ Eigen::Index Estimate::at(DriveTerm term) const {
 }
 
 EstimatedParameter Estimate::combined(std::string name, std::string unit,
-                                      std::initializer_list<std::pair<Eigen::Index, double>> terms, double known) const {
+                                      std::initializer_list<std::pair<Eigen::Index, double>> terms,
+                                      double known) const {
   Eigen::VectorXd weights = Eigen::VectorXd::Zero(model_.fit.coefficients.size());
   for (const auto& [index, factor] : terms)
     if (index >= 0) weights[index] += factor;
   const double variance = weights.dot(covariance_ * weights);
-  return {std::move(name), std::move(unit), known + weights.dot(model_.fit.coefficients), variance > 0.0 ? std::sqrt(variance) : kNaN};
+  return {std::move(name), std::move(unit), known + weights.dot(model_.fit.coefficients),
+          variance > 0.0 ? std::sqrt(variance) : kNaN};
 }
 
 std::vector<EstimatedParameter> Estimate::base_parameters() const {
@@ -44,8 +46,8 @@ std::vector<EstimatedParameter> Estimate::base_parameters() const {
 }
 
 /// Root mean square over owners (runs) of the length of pairs of coefficients.
-EstimatedParameter Estimate::amplitude(std::string name, Eigen::Index first, Eigen::Index count, Eigen::Index stride,
-                                       Eigen::Index owners) const {
+EstimatedParameter Estimate::amplitude(std::string name, Eigen::Index first, Eigen::Index count,
+                                       Eigen::Index stride, Eigen::Index owners) const {
   double square = 0.0, noise = 0.0;
   for (Eigen::Index k = 0; k < count; ++k) {
     const Eigen::Index index = first + k * stride;
@@ -62,11 +64,13 @@ std::vector<EstimatedParameter> Estimate::cogging(const Variant& variant, Eigen:
   int number = 0;
   for (std::size_t i = 0; i < variant.functions.size();) {
     std::size_t end = i;
-    while (end < variant.functions.size() && variant.functions[end].first == variant.functions[i].first) ++end;
+    while (end < variant.functions.size() && variant.functions[end].first == variant.functions[i].first)
+      ++end;
     const std::string suffix = fmt::format("-{}", ++number);
     const auto count = static_cast<Eigen::Index>(end - i);
     const Eigen::Index from = first + static_cast<Eigen::Index>(i);
-    const double order = drive_.linear ? variant.functions[i].first / (2.0 * M_PI) : variant.functions[i].first;
+    const double order =
+        drive_.linear ? variant.functions[i].first / (2.0 * M_PI) : variant.functions[i].first;
     parameters.push_back({"order" + suffix, units_.order, order, kNaN});
     parameters.push_back(amplitude("amplitude" + suffix, from, count, 1, count / 2));
     if (count == 2) {
@@ -84,23 +88,27 @@ std::vector<EstimatedParameter> Estimate::asymmetry(const Variant& variant, Eige
   const bool slope = variant.functions.back().factor == Factor::Power;
   const Eigen::Index dry = constant ? first : at(DriveTerm::TorqueOffset);
   const Eigen::Index steep = slope ? first + (constant ? 1 : 0) : -1;
-  const auto known = [&](DriveTerm term) { return drive_.part(term).use == PartUse::Fixed ? drive_.part(term).value : 0.0; };
+  const auto known = [&](DriveTerm term) {
+    return drive_.part(term).use == PartUse::Fixed ? drive_.part(term).value : 0.0;
+  };
   std::vector<EstimatedParameter> parameters;
   for (const double side : {1.0, -1.0}) {
     const std::string direction = side > 0.0 ? "forward" : "backward";
-    parameters.push_back(combined("viscous-" + direction, units_.per_velocity, {{at(DriveTerm::Viscous), 1.0}, {steep, side}},
-                                  known(DriveTerm::Viscous)));
-    parameters.push_back(combined("coulomb-" + direction, units_.torque, {{at(DriveTerm::Coulomb), 1.0}, {dry, side}},
-                                  known(DriveTerm::Coulomb)));
+    parameters.push_back(combined("viscous-" + direction, units_.per_velocity,
+                                  {{at(DriveTerm::Viscous), 1.0}, {steep, side}}, known(DriveTerm::Viscous)));
+    parameters.push_back(combined("coulomb-" + direction, units_.torque,
+                                  {{at(DriveTerm::Coulomb), 1.0}, {dry, side}}, known(DriveTerm::Coulomb)));
   }
   return parameters;
 }
 
-EstimatedParameter Estimate::single(Eigen::Index first, std::string name, const std::string& unit, Eigen::Index offset, double factor) const {
+EstimatedParameter Estimate::single(Eigen::Index first, std::string name, const std::string& unit,
+                                    Eigen::Index offset, double factor) const {
   return combined(std::move(name), unit, {{first + offset, factor}});
 }
 
-EstimatedParameter Estimate::shape_of(const Variant& variant, std::string name, const std::string& unit) const {
+EstimatedParameter Estimate::shape_of(const Variant& variant, std::string name,
+                                      const std::string& unit) const {
   const double value = *free_shape(variant);
   return {std::move(name), unit, value, variant.shape_sd > 0.0 ? variant.shape_sd * std::abs(value) : kNaN};
 }
@@ -119,7 +127,8 @@ std::vector<EstimatedParameter> Estimate::stribeck(const Variant& variant, Eigen
 
 std::vector<EstimatedParameter> Estimate::power_law(const Variant& variant, Eigen::Index first) const {
   std::vector<EstimatedParameter> parameters{single(first, "friction-at-speed", units_.torque)};
-  if (variant.functions.size() > 1) parameters.push_back(single(first, "difference-by-direction", units_.torque, 1));
+  if (variant.functions.size() > 1)
+    parameters.push_back(single(first, "difference-by-direction", units_.torque, 1));
   parameters.push_back({"speed", units_.velocity, variant.functions.front().first, kNaN});
   parameters.push_back(shape_of(variant, "power", "1"));
   return parameters;
@@ -127,10 +136,12 @@ std::vector<EstimatedParameter> Estimate::power_law(const Variant& variant, Eige
 
 std::vector<EstimatedParameter> Estimate::load_position(const Variant& variant, Eigen::Index first) const {
   const double unit = variant.functions.front().second;
-  std::vector<EstimatedParameter> parameters{single(first, "stiffness", units_.torque + "/" + units_.position, 0, 1.0 / unit)};
+  std::vector<EstimatedParameter> parameters{
+      single(first, "stiffness", units_.torque + "/" + units_.position, 0, 1.0 / unit)};
   const double slope = model_.fit.coefficients[first];
   if (variant.functions.size() > 1 && slope != 0.0)
-    parameters.push_back({"slack-at", units_.position, -model_.fit.coefficients[first + 1] / slope * unit, kNaN});
+    parameters.push_back(
+        {"slack-at", units_.position, -model_.fit.coefficients[first + 1] / slope * unit, kNaN});
   return parameters;
 }
 
@@ -142,15 +153,16 @@ std::vector<EstimatedParameter> Estimate::drift(const Variant& variant, Eigen::I
     const char* name = function.factor == BasisFunction::Factor::Run    ? "change-per-run"
                        : function.factor == BasisFunction::Factor::Time ? "change-within-run"
                                                                         : "excess-at-start";
-    parameters.push_back(single(first, std::string(viscous ? "viscous-" : "") + name, viscous ? units_.per_velocity : units_.torque,
-                                static_cast<Eigen::Index>(i)));
+    parameters.push_back(single(first, std::string(viscous ? "viscous-" : "") + name,
+                                viscous ? units_.per_velocity : units_.torque, static_cast<Eigen::Index>(i)));
   }
   return parameters;
 }
 
 std::vector<EstimatedParameter> Estimate::gravity(const Variant& variant, Eigen::Index first) const {
   const auto count = static_cast<Eigen::Index>(variant.functions.size());
-  std::vector<EstimatedParameter> parameters{amplitude("amplitude", first, count, 1, std::max<Eigen::Index>(1, count / 2))};
+  std::vector<EstimatedParameter> parameters{
+      amplitude("amplitude", first, count, 1, std::max<Eigen::Index>(1, count / 2))};
   if (count == 2) {
     parameters.push_back(single(first, "sine", units_.torque));
     parameters.push_back(single(first, "cosine", units_.torque, 1));
@@ -166,9 +178,8 @@ std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& varia
     if (part.name == variant.name) break;
     first += static_cast<Eigen::Index>(part.columns.size());
   }
-  const auto one = [&](const char* name, const std::string& unit, Eigen::Index offset = 0, double factor = 1.0) {
-    return single(first, name, unit, offset, factor);
-  };
+  const auto one = [&](const char* name, const std::string& unit, Eigen::Index offset = 0,
+                       double factor = 1.0) { return single(first, name, unit, offset, factor); };
   const bool two = variant.functions.size() > 1;
   switch (variant.term) {
     case DriveTerm::Inertia:

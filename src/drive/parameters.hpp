@@ -22,7 +22,9 @@ struct Units {
         position(model.position_unit()),
         velocity(position + "/s"),
         per_velocity(torque + " s/" + position),
-        per_acceleration(torque == "N m" ? "kg m^2" : torque == "N" ? "kg" : torque + " s^2/" + position),
+        per_acceleration(torque == "N m" ? "kg m^2"
+                         : torque == "N" ? "kg"
+                                         : torque + " s^2/" + position),
         per_velocity_squared(torque + " s^2/" + position + "^2"),
         order(model.linear ? "1/m" : "1/rev") {}
 };
@@ -38,7 +40,8 @@ class Estimate {
   const Eigen::MatrixXd& covariance() const { return covariance_; }
   /// First coefficient of the term; -1: it has none.
   Eigen::Index at(DriveTerm term) const;
-  EstimatedParameter combined(std::string name, std::string unit, std::initializer_list<std::pair<Eigen::Index, double>> terms,
+  EstimatedParameter combined(std::string name, std::string unit,
+                              std::initializer_list<std::pair<Eigen::Index, double>> terms,
                               double known = 0.0) const;
 
  private:
@@ -50,9 +53,11 @@ class Estimate {
   std::vector<EstimatedParameter> drift(const Variant& variant, Eigen::Index first) const;
   std::vector<EstimatedParameter> gravity(const Variant& variant, Eigen::Index first) const;
   /// One coefficient of a term, times a factor.
-  EstimatedParameter single(Eigen::Index first, std::string name, const std::string& unit, Eigen::Index offset = 0, double factor = 1.0) const;
+  EstimatedParameter single(Eigen::Index first, std::string name, const std::string& unit,
+                            Eigen::Index offset = 0, double factor = 1.0) const;
   EstimatedParameter shape_of(const Variant& variant, std::string name, const std::string& unit) const;
-  EstimatedParameter amplitude(std::string name, Eigen::Index first, Eigen::Index count, Eigen::Index stride, Eigen::Index owners) const;
+  EstimatedParameter amplitude(std::string name, Eigen::Index first, Eigen::Index count, Eigen::Index stride,
+                               Eigen::Index owners) const;
 
   const TorqueModel& model_;
   const DriveModel& drive_;

@@ -59,8 +59,9 @@ class ForwardSimulation {
     for (const DriveRegressor& regressor : drive.model.regressors)
       for (const RunColumn& column : run.others)
         if (column.name == regressor.name) recorded_.push_back(&column.values);
-    const std::vector<double> velocity =
-        run.velocity_rad_s.empty() ? data_check::differences(run.time_s, run.position_rad) : run.velocity_rad_s;
+    const std::vector<double> velocity = run.velocity_rad_s.empty()
+                                             ? data_check::differences(run.time_s, run.position_rad)
+                                             : run.velocity_rad_s;
     for (const double v : velocity) fastest_ = std::max(fastest_, std::abs(v));
     double largest = 0.0;
     for (const double x : run.position_rad) largest = std::max(largest, std::abs(x));
@@ -163,7 +164,8 @@ std::vector<PredictedQuantity> recorded_quantities(const Run& run, const DriveMo
     quantities.push_back({"position", std::string(model.position_unit()), run.position_rad,
                           std::vector<double>(run.size(), kNone)});
   quantities.push_back({"velocity", std::string(model.position_unit()) + "/s",
-                        run.velocity_rad_s.empty() ? data_check::differences(run.time_s, run.position_rad) : run.velocity_rad_s,
+                        run.velocity_rad_s.empty() ? data_check::differences(run.time_s, run.position_rad)
+                                                   : run.velocity_rad_s,
                         std::vector<double>(run.size(), kNone)});
   return quantities;
 }

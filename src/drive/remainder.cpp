@@ -12,17 +12,18 @@
 namespace clampd::drive {
 namespace {
 
-constexpr int kLevels = 12;        ///< of a free function of one variable
-constexpr int kPairLevels = 6;     ///< of each of two
+constexpr int kLevels = 12;           ///< of a free function of one variable
+constexpr int kPairLevels = 6;        ///< of each of two
 constexpr double kNoiseFactor = 1.5;  ///< of the variance: the readings' noise is known no better
-constexpr double kWhite = 0.35;    ///< correlation of neighbouring rows; the rows' filter alone makes 0.1
+constexpr double kWhite = 0.35;       ///< correlation of neighbouring rows; the rows' filter alone makes 0.1
 constexpr double kLeastDependence = 0.02;
 
 /// Number of the level that each value lies in, by quantiles of the fitted rows. Equal values share a level.
 std::vector<int> levels_of(const Design& design, const Eigen::VectorXd& values, int count, int& levels) {
   std::vector<double> sorted;
   for (int b = 0; b < design.fitted_blocks(); ++b)
-    for (Eigen::Index i = 0; i < design.block(b).second; ++i) sorted.push_back(values[design.block(b).first + i]);
+    for (Eigen::Index i = 0; i < design.block(b).second; ++i)
+      sorted.push_back(values[design.block(b).first + i]);
   std::ranges::sort(sorted);
   std::vector<double> edges;
   for (int k = 1; k < count; ++k) {
@@ -80,7 +81,8 @@ class Cells {
       each_row([&](int fold, Eigen::Index row) {
         double value = residuals[row];
         before += value * value;
-        for (std::size_t g = 0; g < groups_.size(); ++g) value -= effects[static_cast<std::size_t>(fold)][at(g, row)];
+        for (std::size_t g = 0; g < groups_.size(); ++g)
+          value -= effects[static_cast<std::size_t>(fold)][at(g, row)];
         after += value * value;
       });
       if (before > 0.0) best = std::max(best, 1.0 - after / before);
@@ -89,12 +91,15 @@ class Cells {
   }
 
  private:
-  int at(std::size_t group, Eigen::Index row) const { return firsts_[group] + groups_[group][static_cast<std::size_t>(row)]; }
+  int at(std::size_t group, Eigen::Index row) const {
+    return firsts_[group] + groups_[group][static_cast<std::size_t>(row)];
+  }
 
   template <class Visit>
   void each_row(const Visit& visit) const {
     for (int b = 0; b < design_.fitted_blocks(); ++b)
-      for (Eigen::Index i = 0; i < design_.block(b).second; ++i) visit(design_.fold_of(b), design_.block(b).first + i);
+      for (Eigen::Index i = 0; i < design_.block(b).second; ++i)
+        visit(design_.fold_of(b), design_.block(b).first + i);
   }
 
   const Design& design_;
@@ -122,7 +127,8 @@ double explainable(const Design& design, const Eigen::VectorXd& residuals, const
   if (design.fitted_rows() < 200.0) return std::numeric_limits<double>::quiet_NaN();
   const std::vector<std::string> names = recorded(design, drive);
   int directions = 0;
-  const std::vector<int> direction = levels_of(design, variable_of(design, "direction", drive), 2, directions);
+  const std::vector<int> direction =
+      levels_of(design, variable_of(design, "direction", drive), 2, directions);
   Cells cells(design);
   std::vector<std::vector<int>> coarse;
   std::vector<int> counts;
@@ -135,7 +141,8 @@ double explainable(const Design& design, const Eigen::VectorXd& residuals, const
     counts.push_back(few);
   }
   for (std::size_t a = 0; a < std::min<std::size_t>(names.size(), 5); ++a)
-    for (std::size_t b = 0; b < a; ++b) cells.add(crossed(coarse[a], coarse[b], counts[b]), counts[a] * counts[b]);
+    for (std::size_t b = 0; b < a; ++b)
+      cells.add(crossed(coarse[a], coarse[b], counts[b]), counts[a] * counts[b]);
   return cells.share(residuals);
 }
 
@@ -158,7 +165,8 @@ double left_square(const Design& design, const TorqueModel& model) {
     rows += static_cast<double>(design.block(b).second);
   }
   if (rows > 0.0) return heldout / rows;
-  // The whitened squares say by how much a fit to the others does worse; the same factor holds for the rows themselves.
+  // The whitened squares say by how much a fit to the others does worse; the same factor holds for the rows
+  // themselves.
   const std::vector<double> left = design.left_out(model.fit);
   const std::vector<double> fitted = design.fitted_squares(model.fit);
   double sum = 0.0, same = 0.0;
@@ -176,13 +184,14 @@ double neighbour_correlation(const Design& design, const Eigen::VectorXd& residu
   for (int b = 0; b < design.fitted_blocks(); ++b) {
     const auto [from, length] = design.block(b);
     for (Eigen::Index i = 1; i < length; ++i) product += residuals[from + i] * residuals[from + i - 1];
-    square += residuals.segment(from, length).squaredNorm() * static_cast<double>(std::max<Eigen::Index>(length - 1, 0)) /
-              static_cast<double>(length);
+    square += residuals.segment(from, length).squaredNorm() *
+              static_cast<double>(std::max<Eigen::Index>(length - 1, 0)) / static_cast<double>(length);
   }
   return square > 0.0 ? product / square : 0.0;
 }
 
-/// Runs that repeat the same motion tell the noise, whatever the model: half of the mean square of their difference.
+/// Runs that repeat the same motion tell the noise, whatever the model: half of the mean square of their
+/// difference.
 double repeats_noise(const Design& design, const Eigen::VectorXd& residuals) {
   double least = 0.0, rows = 0.0;
   Eigen::Index first = 0;
@@ -220,13 +229,20 @@ Eigen::VectorXd variable_of(const Design& design, std::string_view name, const D
     const auto size = static_cast<Eigen::Index>(run.size());
     auto part = result.segment(first, size);
     first += size;
-    if (name == "velocity") part = run.velocity;
-    else if (name == "acceleration") part = run.acceleration;
-    else if (name == "position") part = run.position;
-    else if (name == "direction") part = side_of(run);
-    else if (name == "time") part = run.time_s;
-    else if (name == "run") part.setConstant(run.run);
-    else if (name == "travel") part = run.travel;
+    if (name == "velocity")
+      part = run.velocity;
+    else if (name == "acceleration")
+      part = run.acceleration;
+    else if (name == "position")
+      part = run.position;
+    else if (name == "direction")
+      part = side_of(run);
+    else if (name == "time")
+      part = run.time_s;
+    else if (name == "run")
+      part.setConstant(run.run);
+    else if (name == "travel")
+      part = run.travel;
     else
       for (std::size_t c = 0; c < drive.regressors.size(); ++c)
         if (drive.regressors[c].name == name) part = run.filtered(run.motion.columns[c]);
@@ -234,7 +250,8 @@ Eigen::VectorXd variable_of(const Design& design, std::string_view name, const D
   return result;
 }
 
-double free_function_share(const Design& design, const Eigen::VectorXd& residuals, const Eigen::VectorXd& variable) {
+double free_function_share(const Design& design, const Eigen::VectorXd& residuals,
+                           const Eigen::VectorXd& variable) {
   int levels = 0, directions = 0;
   Eigen::VectorXd direction(design.rows());
   Eigen::Index first = 0;
@@ -254,7 +271,8 @@ Remainder remainder_of(const Design& design, const TorqueModel& model, double in
   const Eigen::VectorXd residuals = design.residuals(model.fit);
   result.variation = std::sqrt(mean_square(design, design.raw(model.fit.target), true));
   result.left = std::sqrt(left_square(design, model));
-  result.share = result.variation > 0.0 ? result.left / result.variation : std::numeric_limits<double>::quiet_NaN();
+  result.share =
+      result.variation > 0.0 ? result.left / result.variation : std::numeric_limits<double>::quiet_NaN();
   const ReadingNoise& noise = design.data().noise;
   const double by_readings = noise.torque * noise.torque + std::pow(inertia * noise.acceleration, 2);
   result.noise = std::sqrt(std::max(by_readings, repeats_noise(design, residuals)));
@@ -262,7 +280,8 @@ Remainder remainder_of(const Design& design, const TorqueModel& model, double in
   return result;
 }
 
-std::vector<DependenceTest> dependences(const Design& design, const TorqueModel& model, const DriveModel& drive) {
+std::vector<DependenceTest> dependences(const Design& design, const TorqueModel& model,
+                                        const DriveModel& drive) {
   std::vector<DependenceTest> tests;
   const Eigen::VectorXd residuals = design.residuals(model.fit);
   std::vector<std::string> names = recorded(design, drive);
@@ -280,10 +299,12 @@ std::vector<DependenceTest> dependences(const Design& design, const TorqueModel&
     if (test.share < kLeastDependence) continue;
     test.dependence.gain = -0.5 * rows * std::log(std::max(1e-12, 1.0 - test.share));
     test.dependence.gain *= independent;
-    test.dependence.p_value = std::min(1.0, std::exp(-test.dependence.gain));  // held out, so that no level is counted against it
+    test.dependence.p_value =
+        std::min(1.0, std::exp(-test.dependence.gain));  // held out, so that no level is counted against it
     tests.push_back(std::move(test));
   }
-  std::ranges::sort(tests, [](const DependenceTest& a, const DependenceTest& b) { return a.share > b.share; });
+  std::ranges::sort(tests,
+                    [](const DependenceTest& a, const DependenceTest& b) { return a.share > b.share; });
   return tests;
 }
 
@@ -302,10 +323,12 @@ std::vector<MisfitTest> tests_of(const Design& design, const TorqueModel& model,
   const double z = remainder.correlation * std::sqrt(rows);
   const double p = statistics::chi_squared_p_value(z * z, 1.0);
   tests.push_back({"whiteness of the torque", remainder.correlation, p,
-                   remainder.correlation < kWhite ? "neighbouring rows are left unlike each other, as by noise"
-                                                  : "what is left is smooth in time"});
+                   remainder.correlation < kWhite
+                       ? "neighbouring rows are left unlike each other, as by noise"
+                       : "what is left is smooth in time"});
   tests.push_back({"noise of the readings", remainder.noise, std::numeric_limits<double>::quiet_NaN(),
-                   fmt::format("{:.3g} is left, {:.3g} would be the readings' own noise", remainder.left, remainder.noise)});
+                   fmt::format("{:.3g} is left, {:.3g} would be the readings' own noise", remainder.left,
+                               remainder.noise)});
   return tests;
 }
 

@@ -10,12 +10,14 @@ namespace clampd::drive {
 
 /// What a model leaves of the torque, judged by rows that it was not fitted to.
 struct Remainder {
-  double variation = 0.0;    ///< root mean square of the torque about its mean
-  double left = 0.0;         ///< root mean square that is left on rows that were not fitted
-  double share = 0.0;        ///< of the two
-  double noise = 0.0;        ///< root mean square that the readings' own noise accounts for, independent of the model
+  double variation = 0.0;  ///< root mean square of the torque about its mean
+  double left = 0.0;       ///< root mean square that is left on rows that were not fitted
+  double share = 0.0;      ///< of the two
+  double noise =
+      0.0;  ///< root mean square that the readings' own noise accounts for, independent of the model
   double correlation = 0.0;  ///< of neighbouring rows
-  double explainable = 0.0;  ///< share of the square that a function of all columns takes where it was not fitted
+  double explainable =
+      0.0;  ///< share of the square that a function of all columns takes where it was not fitted
   bool is_noise() const;
 };
 Remainder remainder_of(const Design& design, const TorqueModel& model, double inertia);
@@ -26,13 +28,16 @@ struct DependenceTest {
   double share = 0.0;  ///< of the squared error of rows that were not fitted
 };
 /// The strongest first.
-std::vector<DependenceTest> dependences(const Design& design, const TorqueModel& model, const DriveModel& drive);
+std::vector<DependenceTest> dependences(const Design& design, const TorqueModel& model,
+                                        const DriveModel& drive);
 
 /// Share of the square of `residuals` that a free function of the variable takes where it was not fitted.
-double free_function_share(const Design& design, const Eigen::VectorXd& residuals, const Eigen::VectorXd& variable);
+double free_function_share(const Design& design, const Eigen::VectorXd& residuals,
+                           const Eigen::VectorXd& variable);
 Eigen::VectorXd variable_of(const Design& design, std::string_view name, const DriveModel& drive);
 
-/// Of what is left, the share that any function of the recorded columns takes where it was not fitted; NaN with few rows.
+/// Of what is left, the share that any function of the recorded columns takes where it was not fitted; NaN
+/// with few rows.
 double explainable_share(const Design& design, const TorqueModel& model, const DriveModel& drive);
 
 std::vector<MisfitTest> tests_of(const Design& design, const TorqueModel& model, const Remainder& remainder);

@@ -9,8 +9,8 @@
 namespace clampd::drive {
 namespace {
 
-constexpr double kMostPeriods = 400.0;   ///< over the travel
-constexpr double kLeastPeriods = 3.0;    ///< fewer are a smooth function of the place, not a ripple
+constexpr double kMostPeriods = 400.0;  ///< over the travel
+constexpr double kLeastPeriods = 3.0;   ///< fewer are a smooth function of the place, not a ripple
 /// Of a rotary drive, orders nearer to 1 than the travel can tell are gravity's.
 constexpr double kFromGravity = 1.5;
 constexpr std::size_t kMostOrders = 6;
@@ -41,8 +41,10 @@ struct Scan {
   std::vector<double> gain;  ///< share of the whitened residual's square
 };
 
-/// Of the rows' residuals (each run's mean removed), the share that each order takes, run by run where the phase is not absolute.
-Scan scanned(const Design& design, const Eigen::VectorXd& residuals, double lowest, double highest, double step) {
+/// Of the rows' residuals (each run's mean removed), the share that each order takes, run by run where the
+/// phase is not absolute.
+Scan scanned(const Design& design, const Eigen::VectorXd& residuals, double lowest, double highest,
+             double step) {
   const DriveData& data = design.data();
   Scan scan{lowest, step, std::vector<double>(static_cast<std::size_t>((highest - lowest) / step) + 1, 0.0)};
   const auto orders = scan.gain.size();
@@ -100,8 +102,9 @@ Scan scanned(const Design& design, const Eigen::VectorXd& residuals, double lowe
 
 }  // namespace
 
-std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& residuals, const DriveRange& range,
-                                const DriveModel& model, const Variant* already, std::string* why_not) {
+std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& residuals,
+                                const DriveRange& range, const DriveModel& model, const Variant* already,
+                                std::string* why_not) {
   const DriveData& data = design.data();
   const auto refuse = [&](std::string reason) {
     if (why_not != nullptr) *why_not = std::move(reason);
@@ -110,11 +113,16 @@ std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& res
   double longest = 0.0;
   for (const DriveRows& run : data.runs)
     if (!run.heldout) longest = std::max(longest, run.position.maxCoeff() - run.position.minCoeff());
-  if (!(longest > 0.0) || !(data.cut_off_Hz > 0.0)) return refuse("a run at steady speed counts as one point without a place");
+  if (!(longest > 0.0) || !(data.cut_off_Hz > 0.0))
+    return refuse("a run at steady speed counts as one point without a place");
   const double middle_speed = std::max(range.slow, 0.1 * range.fast);
-  const double highest = std::min({2.0 * M_PI * data.cut_off_Hz / middle_speed, 2.0 * M_PI * kMostPeriods / longest});
-  const double lowest = std::max(kLeastPeriods * 2.0 * M_PI / longest, model.linear ? 0.0 : 1.0 + kFromGravity * 2.0 * M_PI / longest);
-  if (!(highest > lowest)) return refuse("the runs are too short, or the motion too fast for the sampling, for three periods of a ripple");
+  const double highest =
+      std::min({2.0 * M_PI * data.cut_off_Hz / middle_speed, 2.0 * M_PI * kMostPeriods / longest});
+  const double lowest = std::max(kLeastPeriods * 2.0 * M_PI / longest,
+                                 model.linear ? 0.0 : 1.0 + kFromGravity * 2.0 * M_PI / longest);
+  if (!(highest > lowest))
+    return refuse(
+        "the runs are too short, or the motion too fast for the sampling, for three periods of a ripple");
   const double step = std::min(0.35 * 2.0 * M_PI / longest, 0.5 * (highest - lowest));
   const Scan scan = scanned(design, residuals, lowest, highest, step);
   std::vector<std::size_t> order(scan.gain.size());
@@ -130,18 +138,23 @@ std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& res
       if (b >= a && b >= c && a - 2.0 * b + c < 0.0) factor += 0.5 * scan.step * (a - c) / (a - 2.0 * b + c);
     }
     // Poles and gear teeth are whole numbers: where one is as near as the travel can tell, it is that.
-    if (!model.linear && std::abs(factor - std::round(factor)) < 0.3 * 2.0 * M_PI / longest) factor = std::round(factor);
+    if (!model.linear && std::abs(factor - std::round(factor)) < 0.3 * 2.0 * M_PI / longest)
+      factor = std::round(factor);
     const auto near = [&](double other) { return std::abs(factor - other) < 2.0 * scan.step; };
     bool known = std::ranges::any_of(tried, near);
     if (already != nullptr)
       for (const BasisFunction& function : already->functions) known = known || near(function.first);
-    if (known || (already != nullptr && already->functions.size() >= kMostOrders * functions_of(1.0, data.position_absolute, range.runs).size()))
+    if (known || (already != nullptr &&
+                  already->functions.size() >=
+                      kMostOrders * functions_of(1.0, data.position_absolute, range.runs).size()))
       continue;
     tried.push_back(factor);
     Variant variant{DriveTerm::Cogging, std::string(name_of(DriveTerm::Cogging)), {}};
     if (already != nullptr) variant.functions = already->functions;
-    for (const BasisFunction& function : functions_of(factor, data.position_absolute, range.runs)) variant.functions.push_back(function);
-    variant.alternatives = (already != nullptr ? already->alternatives : 1.0) * static_cast<double>(scan.gain.size());
+    for (const BasisFunction& function : functions_of(factor, data.position_absolute, range.runs))
+      variant.functions.push_back(function);
+    variant.alternatives =
+        (already != nullptr ? already->alternatives : 1.0) * static_cast<double>(scan.gain.size());
     variants.push_back(std::move(variant));
   }
   return variants;

@@ -6,8 +6,8 @@
 #include <limits>
 #include <numeric>
 
-#include <Eigen/LU>
 #include <fmt/format.h>
+#include <Eigen/LU>
 
 namespace clampd::drive {
 
@@ -16,11 +16,13 @@ struct RowsBuilder {
   template <class Derivatives>
   static void set_motion(DriveRows& rows, const Run& run, const Derivatives& derivatives) {
     const bool position = !run.position_rad.empty();
-    const std::span<const double> time_s(rows.motion.time_s), x(position ? run.position_rad : run.velocity_rad_s);
+    const std::span<const double> time_s(rows.motion.time_s),
+        x(position ? run.position_rad : run.velocity_rad_s);
     for (std::size_t r = 0; r < rows.rows_.size(); ++r) {
       const DriveRows::Row& row = rows.rows_[r];
       if (row.weights.size() < 4) continue;
-      const std::array<double, 2> both = derivatives(time_s, x, row.at_s, rows.filter_sd_s_, row.first, row.weights);
+      const std::array<double, 2> both =
+          derivatives(time_s, x, row.at_s, rows.filter_sd_s_, row.first, row.weights);
       if (!std::isfinite(both[0]) || !std::isfinite(both[1])) continue;
       const auto i = static_cast<Eigen::Index>(r);
       if (position) rows.velocity[i] = both[0];
@@ -45,13 +47,16 @@ namespace {
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 /// More rows than this tell a model of some twenty coefficients nothing new; the cut-off is lowered instead.
 constexpr double kMostRows = 40'000.0;
-constexpr double kHighestCutOff = 0.12;    ///< of the sampling rate: the filter is then a sample wide, and its derivatives are true
-constexpr double kSamplesPerRow = 12.0;    ///< more are averaged first
-constexpr double kAccelerationNoise = 0.01;  ///< of the torque, root mean square, what the noise of the acceleration may make of it
+constexpr double kHighestCutOff =
+    0.12;  ///< of the sampling rate: the filter is then a sample wide, and its derivatives are true
+constexpr double kSamplesPerRow = 12.0;  ///< more are averaged first
+constexpr double kAccelerationNoise =
+    0.01;  ///< of the torque, root mean square, what the noise of the acceleration may make of it
 
 double quantile(std::vector<double> values, double share) {
   if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
-  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  const auto at =
+      values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), at, values.end());
   return *at;
 }
@@ -62,8 +67,9 @@ double median_step(std::span<const double> time_s) {
   return quantile(std::move(steps), 0.5);
 }
 
-/// Standard deviation of white noise in readings at any times: what they differ by from the polynomial through `beside` neighbours on
-/// either side, which smooth motion hardly does. The largest hundredth, as by spikes, is cut to size.
+/// Standard deviation of white noise in readings at any times: what they differ by from the polynomial
+/// through `beside` neighbours on either side, which smooth motion hardly does. The largest hundredth, as by
+/// spikes, is cut to size.
 double white_noise(std::span<const double> time_s, std::span<const double> x, std::size_t beside) {
   constexpr std::size_t kMost = 20'000;
   const std::size_t n = x.size();
@@ -140,8 +146,8 @@ Smoothed smooth(std::span<const double> time_s, std::span<const double> x, doubl
     deviations[i] = std::abs(coefficients[0]) / std::sqrt(std::max(0.1, 1.0 - leverage * inverse(0, 0)));
     derivative_factors[i] = std::sqrt(std::max(0.0, inverse(1, 1))) / width;
   }
-  // By a median, so that single bad samples make no standstill of a motion; by the mean of the smaller nine tenths where an encoder's
-  // step leaves most at zero.
+  // By a median, so that single bad samples make no standstill of a motion; by the mean of the smaller nine
+  // tenths where an encoder's step leaves most at zero.
   double noise = 1.4826 * quantile(deviations, 0.5);
   const double most = quantile(deviations, 0.9);
   double square = 0.0;
@@ -162,7 +168,8 @@ double cell_s(std::span<const double> time_s, std::size_t i) {
 
 /// Weights of a Gaussian about `at_s`; sum 1.
 std::vector<double> kernel(std::span<const double> time_s, double at_s, double sd_s, std::size_t& first) {
-  first = static_cast<std::size_t>(std::lower_bound(time_s.begin(), time_s.end(), at_s - 4.0 * sd_s) - time_s.begin());
+  first = static_cast<std::size_t>(std::lower_bound(time_s.begin(), time_s.end(), at_s - 4.0 * sd_s) -
+                                   time_s.begin());
   std::vector<double> weights;
   double sum = 0.0;
   for (std::size_t i = first; i < time_s.size() && time_s[i] <= at_s + 4.0 * sd_s; ++i) {
@@ -180,12 +187,14 @@ double torque_bandwidth_Hz(const Run& run) {
   const std::span<const double> time_s(run.time_s);
   const std::size_t n = run.size();
   const double highest_Hz = kHighestCutOff / median_step(time_s);
-  const double mean = std::accumulate(run.torque_Nm.begin(), run.torque_Nm.end(), 0.0) / static_cast<double>(n);
+  const double mean =
+      std::accumulate(run.torque_Nm.begin(), run.torque_Nm.end(), 0.0) / static_cast<double>(n);
   double power = 0.0;
   for (const double torque : run.torque_Nm) power += std::pow(torque - mean, 2);
   const double noise = static_cast<double>(n) * std::pow(white_noise(run.time_s, run.torque_Nm, 1), 2);
   double chosen_Hz = highest_Hz;
-  for (double cut_off_Hz = highest_Hz / 1.25; cut_off_Hz * (time_s[n - 1] - time_s[0]) > 40.0; cut_off_Hz /= 1.25) {
+  for (double cut_off_Hz = highest_Hz / 1.25; cut_off_Hz * (time_s[n - 1] - time_s[0]) > 40.0;
+       cut_off_Hz /= 1.25) {
     const double sd_s = gaussian_sd_s(cut_off_Hz);
     const std::size_t stride = std::max<std::size_t>(1, n / 1000);
     double lost = 0.0;
@@ -216,7 +225,8 @@ Result<void> check(const Run& run, const DriveModel& model) {
   const auto finite = [](const std::vector<double>& values) {
     return std::ranges::all_of(values, [](double value) { return std::isfinite(value); });
   };
-  if (!finite(run.time_s) || !finite(run.torque_Nm) || !finite(run.position_rad) || !finite(run.velocity_rad_s))
+  if (!finite(run.time_s) || !finite(run.torque_Nm) || !finite(run.position_rad) ||
+      !finite(run.velocity_rad_s))
     return bad("a reading is not a finite number");
   return {};
 }
@@ -265,13 +275,15 @@ DriveMotion motion_of(const Run& run, double cut_off_Hz, double& slow_speed) {
     noise = velocity.value_noise;
     motion.position.assign(run.size(), 0.0);
     for (std::size_t i = 1; i < run.size(); ++i)
-      motion.position[i] = motion.position[i - 1] +
-                           0.5 * (run.velocity_rad_s[i] + run.velocity_rad_s[i - 1]) * (run.time_s[i] - run.time_s[i - 1]);
+      motion.position[i] = motion.position[i - 1] + 0.5 *
+                                                        (run.velocity_rad_s[i] + run.velocity_rad_s[i - 1]) *
+                                                        (run.time_s[i] - run.time_s[i - 1]);
   }
   for (const RunColumn& other : run.others) motion.columns.push_back(other.values);
   std::vector<double> speeds;
   for (const double v : motion.velocity) speeds.push_back(std::abs(v));
-  const double floor = std::max(std::min(3.0 * noise, 0.3 * quantile(speeds, 0.9)), 0.002 * quantile(speeds, 0.99));
+  const double floor =
+      std::max(std::min(3.0 * noise, 0.3 * quantile(speeds, 0.9)), 0.002 * quantile(speeds, 0.99));
   slow_speed = std::max(slow_speed, floor);
   double last_sign = 0.0;
   double reversal = std::numeric_limits<double>::quiet_NaN();
@@ -288,10 +300,11 @@ DriveMotion motion_of(const Run& run, double cut_off_Hz, double& slow_speed) {
   return motion;
 }
 
-/// Gaussian-filtered first and second derivative at a row, by a local polynomial of second degree under the row's own weights: where
-/// samples are even, exactly what the filter that the torque goes through makes of the true derivatives.
-std::array<double, 2> derivatives(std::span<const double> time_s, std::span<const double> x, double at_s, double sd_s, std::size_t first,
-                                  std::span<const double> weights) {
+/// Gaussian-filtered first and second derivative at a row, by a local polynomial of second degree under the
+/// row's own weights: where samples are even, exactly what the filter that the torque goes through makes of
+/// the true derivatives.
+std::array<double, 2> derivatives(std::span<const double> time_s, std::span<const double> x, double at_s,
+                                  double sd_s, std::size_t first, std::span<const double> weights) {
   Eigen::Matrix3d gram = Eigen::Matrix3d::Zero();
   Eigen::Vector3d right = Eigen::Vector3d::Zero();
   for (std::size_t k = 0; k < weights.size(); ++k) {
@@ -325,7 +338,8 @@ void center_held(std::vector<double>& torque) {
 enum class RowUse { Used, Standstill, Gap, DriveOff, Reversal };
 constexpr std::size_t kRowUses = 5;
 
-RowUse use_of(const DriveRows& rows, const Run& run, std::size_t first, const std::vector<double>& weights, double step_s) {
+RowUse use_of(const DriveRows& rows, const Run& run, std::size_t first, const std::vector<double>& weights,
+              double step_s) {
   constexpr double kMaxStandstill = 0.1, kMaxReversal = 0.03;
   if (weights.size() < 2) return RowUse::Gap;
   double standstill = 0.0, forward = 0.0, backward = 0.0;
@@ -340,7 +354,8 @@ RowUse use_of(const DriveRows& rows, const Run& run, std::size_t first, const st
   return std::min(forward, backward) + standstill > kMaxReversal ? RowUse::Reversal : RowUse::Used;
 }
 
-DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz, DriveData& data, std::array<double, kRowUses>& seconds) {
+DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz, DriveData& data,
+                  std::array<double, kRowUses>& seconds) {
   DriveRows rows;
   rows.name = run.name;
   rows.motion = motion_of(run, cut_off_Hz, data.slow_speed);
@@ -355,7 +370,8 @@ DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz, Dr
     std::vector<double> weights = kernel(time_s, at_s, sd_s, first);
     const RowUse use = use_of(rows, run, first, weights, longest_gap_s);
     seconds[static_cast<std::size_t>(use)] += step_s;
-    if (use == RowUse::Used || (use == RowUse::Reversal && data.keeps_reversals)) RowsBuilder::add(rows, at_s, first, std::move(weights));
+    if (use == RowUse::Used || (use == RowUse::Reversal && data.keeps_reversals))
+      RowsBuilder::add(rows, at_s, first, std::move(weights));
   }
   RowsBuilder::set_filter(rows, sd_s);
   fill(rows);
@@ -368,7 +384,8 @@ DriveRows steady_row_of(const Run& run) {
   rows.name = run.name;
   std::vector<double> velocity = run.velocity_rad_s;
   if (velocity.empty())
-    velocity = {(run.position_rad.back() - run.position_rad.front()) / (run.time_s.back() - run.time_s.front())};
+    velocity = {(run.position_rad.back() - run.position_rad.front()) /
+                (run.time_s.back() - run.time_s.front())};
   const double v = quantile(velocity, 0.5);
   rows.motion.time_s = {0.5 * (run.time_s.back() - run.time_s.front())};
   rows.motion.torque = {quantile(run.torque_Nm, 0.5)};
@@ -383,13 +400,16 @@ DriveRows steady_row_of(const Run& run) {
   return rows;
 }
 
-/// Of white noise in position or velocity, what a row's acceleration holds after differentiation and the rows' filter.
+/// Of white noise in position or velocity, what a row's acceleration holds after differentiation and the
+/// rows' filter.
 double acceleration_noise(const Run& run, double cut_off_Hz) {
   const double step_s = median_step(run.time_s);
   const double sd_s = gaussian_sd_s(cut_off_Hz);
   if (!run.position_rad.empty())
-    return white_noise(run.time_s, run.position_rad, 3) * std::sqrt(step_s * 3.0 / (8.0 * std::sqrt(M_PI)) / std::pow(sd_s, 5));
-  return white_noise(run.time_s, run.velocity_rad_s, 2) * std::sqrt(step_s / (4.0 * std::sqrt(M_PI)) / std::pow(sd_s, 3));
+    return white_noise(run.time_s, run.position_rad, 3) *
+           std::sqrt(step_s * 3.0 / (8.0 * std::sqrt(M_PI)) / std::pow(sd_s, 5));
+  return white_noise(run.time_s, run.velocity_rad_s, 2) *
+         std::sqrt(step_s / (4.0 * std::sqrt(M_PI)) / std::pow(sd_s, 3));
 }
 
 void count_rows(std::span<const Run> runs, const std::array<double, kRowUses>& seconds, DriveData& data) {
@@ -399,15 +419,17 @@ void count_rows(std::span<const Run> runs, const std::array<double, kRowUses>& s
   for (const Run& run : runs) total_s += run.time_s.back() - run.time_s.front();
   if (!(all > 0.0) || !(total_s > 0.0)) return;
   const auto rows_in = [&](double time_s) {
-    return static_cast<std::size_t>(std::llround(static_cast<double>(data.rows.read) * std::min(1.0, time_s / total_s)));
+    return static_cast<std::size_t>(
+        std::llround(static_cast<double>(data.rows.read) * std::min(1.0, time_s / total_s)));
   };
   data.rows.used = rows_in(seconds[0] + (data.keeps_reversals ? seconds[4] : 0.0));
   const auto add = [&](const char* reason, std::size_t rows) {
     if (rows > 0) data.rows.left_out.push_back({reason, rows});
   };
   std::size_t left = data.rows.read - data.rows.used;
-  constexpr std::array<const char*, 4> kReasons{"standstill: friction there is anything up to its limit", "a gap in the record",
-                                                "the drive was off", "a reversal: for how long the drive sticks is not recorded"};
+  constexpr std::array<const char*, 4> kReasons{"standstill: friction there is anything up to its limit",
+                                                "a gap in the record", "the drive was off",
+                                                "a reversal: for how long the drive sticks is not recorded"};
   for (std::size_t k = 0; k < kReasons.size(); ++k) {
     if (data.keeps_reversals && k == 3) continue;
     const std::size_t rows = std::min(left, rows_in(seconds[k + 1]));
@@ -418,8 +440,8 @@ void count_rows(std::span<const Run> runs, const std::array<double, kRowUses>& s
 }
 
 /// At the cut-off given.
-DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model, double cut_off_Hz,
-                     bool keeps_reversals = false) {
+DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model,
+                     double cut_off_Hz, bool keeps_reversals = false) {
   DriveData data;
   data.keeps_reversals = keeps_reversals;
   data.cut_off_Hz = cut_off_Hz;
@@ -431,12 +453,14 @@ DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const 
     const double step_s = median_step(run.time_s);
     data.sample_s = r == 0 ? step_s : std::min(data.sample_s, step_s);
     const double here_Hz = std::min(cut_off_Hz, kHighestCutOff / step_s);
-    const auto together = static_cast<std::size_t>(std::max(1.0, kRowsPerCutOff / here_Hz / step_s / kSamplesPerRow));
+    const auto together =
+        static_cast<std::size_t>(std::max(1.0, kRowsPerCutOff / here_Hz / step_s / kSamplesPerRow));
     DriveRows rows = rows_of(averaged(run, together), model, here_Hz, data, seconds);
     rows.run = static_cast<int>(r);
     rows.heldout = r >= heldout_from;
     const auto size = static_cast<double>(rows.size());
-    torque_square += size * std::pow(white_noise(run.time_s, run.torque_Nm, 2), 2) * rows.sum_of_squared_weights / static_cast<double>(together);
+    torque_square += size * std::pow(white_noise(run.time_s, run.torque_Nm, 2), 2) *
+                     rows.sum_of_squared_weights / static_cast<double>(together);
     acceleration_square += size * std::pow(acceleration_noise(run, here_Hz), 2);
     count += size;
     data.runs.push_back(std::move(rows));
@@ -449,7 +473,8 @@ DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const 
   return data;
 }
 
-/// What the noise of the acceleration makes of the torque, root mean square over the torque's own: by a rough fit of inertia and friction.
+/// What the noise of the acceleration makes of the torque, root mean square over the torque's own: by a rough
+/// fit of inertia and friction.
 double torque_of_acceleration_noise(const DriveData& data) {
   Eigen::Matrix4d gram = Eigen::Matrix4d::Zero();
   Eigen::Vector4d right = Eigen::Vector4d::Zero();
@@ -466,7 +491,8 @@ double torque_of_acceleration_noise(const DriveData& data) {
   if (count < 20.0) return kInfinity;
   const double noise = std::pow(data.noise.acceleration, 2), measured = gram(0, 0) / count;
   const Eigen::Vector4d scale = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
-  const Eigen::Matrix4d scaled = scale.asDiagonal() * gram * scale.asDiagonal() + 1e-9 * Eigen::Matrix4d::Identity();
+  const Eigen::Matrix4d scaled =
+      scale.asDiagonal() * gram * scale.asDiagonal() + 1e-9 * Eigen::Matrix4d::Identity();
   const Eigen::Vector4d fitted = scale.asDiagonal() * (scaled.inverse() * (scale.asDiagonal() * right));
   // Noise hides the inertia as it hides the acceleration.
   const double hidden = std::max(0.1, 1.0 - noise / std::max(measured, 1e-300));
@@ -474,7 +500,8 @@ double torque_of_acceleration_noise(const DriveData& data) {
   return std::abs(fitted[0]) / hidden * data.noise.acceleration / variation;
 }
 
-/// Lowers the cut-off until the noise of the acceleration is of no account in the torque, or nothing is gained.
+/// Lowers the cut-off until the noise of the acceleration is of no account in the torque, or nothing is
+/// gained.
 double cut_off_for_acceleration(std::span<const Run> runs, const DriveModel& model, double cut_off_Hz) {
   double longest_s = 0.0;
   for (const Run& run : runs) longest_s = std::max(longest_s, run.time_s.back() - run.time_s.front());
@@ -498,7 +525,9 @@ DriveState DriveMotion::state(std::size_t i, int run, std::vector<double>& colum
   return {time_s[i], run, position[i], velocity[i], acceleration[i], direction[i], travel[i], columns_here};
 }
 
-double gaussian_sd_s(double cut_off_Hz) { return std::sqrt(std::log(2.0)) / (2.0 * M_PI * cut_off_Hz); }
+double gaussian_sd_s(double cut_off_Hz) {
+  return std::sqrt(std::log(2.0)) / (2.0 * M_PI * cut_off_Hz);
+}
 
 Eigen::VectorXd DriveRows::filtered(std::span<const double> samples) const {
   Eigen::VectorXd result(static_cast<Eigen::Index>(rows_.size()));
@@ -517,7 +546,8 @@ Eigen::VectorXd DriveRows::torque_at(double lag_s) const {
   for (std::size_t r = 0; r < rows_.size(); ++r) {
     std::size_t first = 0;
     const double latest_s = motion.time_s.back();
-    const std::vector<double> weights = kernel(motion.time_s, std::clamp(rows_[r].at_s - lag_s, 0.0, latest_s), filter_sd_s_, first);
+    const std::vector<double> weights =
+        kernel(motion.time_s, std::clamp(rows_[r].at_s - lag_s, 0.0, latest_s), filter_sd_s_, first);
     double sum = 0.0;
     for (std::size_t k = 0; k < weights.size(); ++k) sum += weights[k] * motion.torque[first + k];
     result[static_cast<Eigen::Index>(r)] = sum;
@@ -540,7 +570,8 @@ Result<DriveData> prepare(std::span<const Run> runs, std::size_t heldout_from, c
       data.rows.read += runs[r].size();
       if (data.runs.back().size() > 0) data.rows.used += runs[r].size();
     }
-    if (data.rows.used < data.rows.read) data.rows.left_out.push_back({"standstill", data.rows.read - data.rows.used});
+    if (data.rows.used < data.rows.read)
+      data.rows.left_out.push_back({"standstill", data.rows.read - data.rows.used});
   } else {
     const std::span<const Run> fitted = runs.first(heldout_from);
     double cut_off_Hz = model.cut_off_Hz;

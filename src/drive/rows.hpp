@@ -26,15 +26,16 @@ double gaussian_sd_s(double cut_off_Hz);
 struct DriveMotion {
   std::vector<double> time_s;  ///< since the run began
   std::vector<double> torque, position, velocity, acceleration;
-  std::vector<double> direction;  ///< of the velocity; 0 at standstill
-  std::vector<double> travel;     ///< since the last reversal; infinite before the first
+  std::vector<double> direction;             ///< of the velocity; 0 at standstill
+  std::vector<double> travel;                ///< since the last reversal; infinite before the first
   std::vector<std::vector<double>> columns;  ///< the user's own, by DriveModel::regressors
 
   DriveState state(std::size_t i, int run, std::vector<double>& columns_here) const;
 };
 
-/// The torque balance of one run, low-pass filtered and decimated. What stands on either side of it goes through the same
-/// filter, so that the filter changes nothing about the balance (parallel filtering; Gautier 1997).
+/// The torque balance of one run, low-pass filtered and decimated. What stands on either side of it goes
+/// through the same filter, so that the filter changes nothing about the balance (parallel filtering; Gautier
+/// 1997).
 class DriveRows {
  public:
   std::string name;
@@ -48,8 +49,10 @@ class DriveRows {
   /// Torque as the reading that is `lag_s` older than the row.
   Eigen::VectorXd torque_at(double lag_s) const;
 
-  Eigen::VectorXd time_s, torque, position, velocity, acceleration, direction, travel;  ///< filtered, one a row
-  double sum_of_squared_weights = 1.0;  ///< of a row's filter, on average: what white noise of a sample leaves in it
+  Eigen::VectorXd time_s, torque, position, velocity, acceleration, direction,
+      travel;  ///< filtered, one a row
+  double sum_of_squared_weights =
+      1.0;  ///< of a row's filter, on average: what white noise of a sample leaves in it
 
  private:
   friend struct RowsBuilder;
@@ -64,7 +67,7 @@ class DriveRows {
 
 /// What the readings themselves say of their noise, independent of any model; standard deviations.
 struct ReadingNoise {
-  double torque = 0.0;        ///< of a row's torque, by what a sample's torque does beyond the motion's bandwidth
+  double torque = 0.0;  ///< of a row's torque, by what a sample's torque does beyond the motion's bandwidth
   double acceleration = 0.0;  ///< of a row's acceleration, by the position's (or velocity's) noise and step
 };
 
@@ -80,9 +83,10 @@ struct DriveData {
   std::vector<std::string> notices;
 };
 
-/// Motion by local polynomials (no lag, any sampling), rows by a Gaussian low-pass without lag; rows at standstill are left out,
-/// since friction there is anything up to its limit. Of `runs`, those from `heldout_from` on are held out.
-/// Errors: a run too short or without a reading that the model promises, no motion at all.
+/// Motion by local polynomials (no lag, any sampling), rows by a Gaussian low-pass without lag; rows at
+/// standstill are left out, since friction there is anything up to its limit. Of `runs`, those from
+/// `heldout_from` on are held out. Errors: a run too short or without a reading that the model promises, no
+/// motion at all.
 Result<DriveData> prepare(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model);
 
 }  // namespace clampd::drive

@@ -62,7 +62,8 @@ const Variant* TorqueModel::part(DriveTerm term) const {
   return nullptr;
 }
 
-Selector::Selector(Design& design, const DriveRange& range, const DriveModel& model, const SelectionOptions& options)
+Selector::Selector(Design& design, const DriveRange& range, const DriveModel& model,
+                   const SelectionOptions& options)
     : design_(design), range_(range), model_(model), options_(options) {
   const auto add = [&](DriveTerm term, PartUse use) {
     if (use == PartUse::Off || use == PartUse::Fixed) return;
@@ -71,7 +72,8 @@ Selector::Selector(Design& design, const DriveRange& range, const DriveModel& mo
       if (variants.empty()) return;
       // A shape that the file does not give: the widest of the first kind.
       Variant chosen = variants.front();
-      if (term == DriveTerm::FrictionAsymmetry || term == DriveTerm::FrictionPosition || term == DriveTerm::LoadPosition)
+      if (term == DriveTerm::FrictionAsymmetry || term == DriveTerm::FrictionPosition ||
+          term == DriveTerm::LoadPosition)
         chosen = variants[1];
       chosen.alternatives = 1.0;
       base_.push_back(chosen);
@@ -82,7 +84,8 @@ Selector::Selector(Design& design, const DriveRange& range, const DriveModel& mo
   for (std::size_t t = 0; t < kDriveTermCount; ++t) {
     const auto term = static_cast<DriveTerm>(t);
     if (term == DriveTerm::Regressor) continue;
-    if (model.parts[t].use == PartUse::Candidate && unidentifiable(term, range, design.data(), model)) continue;
+    if (model.parts[t].use == PartUse::Candidate && unidentifiable(term, range, design.data(), model))
+      continue;
     add(term, model.parts[t].use);
   }
   for (Variant& each : variants_of(DriveTerm::Regressor, range, design.data(), model)) {
@@ -100,7 +103,9 @@ Selector::Selector(Design& design, const DriveRange& range, const DriveModel& mo
   candidates_ = static_cast<int>(names.size()) + 2;
 }
 
-bool Selector::is_base(const Variant& variant) const { return std::ranges::find(base_, variant) != base_.end(); }
+bool Selector::is_base(const Variant& variant) const {
+  return std::ranges::find(base_, variant) != base_.end();
+}
 
 double Selector::critical(double alternatives) const {
   return std::log(candidates_ / options_.false_alarm) + std::log(std::max(1.0, alternatives));
@@ -154,24 +159,27 @@ std::vector<FittedTerm> Selector::terms_of(const TorqueModel& model) const {
   for (const Variant& part : model.parts) {
     if (part.columns.empty()) continue;
     FittedTerm term{part.term, part.name, part.functions, {}};
-    for (std::size_t i = 0; i < part.columns.size(); ++i) term.coefficients.push_back(model.fit.coefficients[at++]);
+    for (std::size_t i = 0; i < part.columns.size(); ++i)
+      term.coefficients.push_back(model.fit.coefficients[at++]);
     terms.push_back(std::move(term));
   }
   for (std::size_t t = 0; t < kDriveTermCount; ++t)
     if (model_.parts[t].use == PartUse::Fixed) {
       const auto term = static_cast<DriveTerm>(t);
       const std::vector<Variant> variants = variants_of(term, range_, design_.data(), model_);
-      terms.push_back({term, std::string(name_of(term)), variants.front().functions, {model_.parts[t].value}});
+      terms.push_back(
+          {term, std::string(name_of(term)), variants.front().functions, {model_.parts[t].value}});
     }
   return terms;
 }
 
 TorqueModel Selector::rich() {
   TorqueModel model = fitted(base_);
-  constexpr std::array kLinear{DriveTerm::TorqueOffset,     DriveTerm::FrictionAsymmetry, DriveTerm::QuadraticDrag,
-                               DriveTerm::FrictionShape,    DriveTerm::FrictionPosition,  DriveTerm::LoadPosition,
-                               DriveTerm::Gravity,          DriveTerm::InertiaPosition,   DriveTerm::FrictionDrift,
-                               DriveTerm::Presliding,       DriveTerm::Regressor};
+  constexpr std::array kLinear{
+      DriveTerm::TorqueOffset,  DriveTerm::FrictionAsymmetry, DriveTerm::QuadraticDrag,
+      DriveTerm::FrictionShape, DriveTerm::FrictionPosition,  DriveTerm::LoadPosition,
+      DriveTerm::Gravity,       DriveTerm::InertiaPosition,   DriveTerm::FrictionDrift,
+      DriveTerm::Presliding,    DriveTerm::Regressor};
   for (const DriveTerm term : kLinear) {
     TorqueModel best;
     for (const Variant& variant : pool_) {
@@ -208,18 +216,22 @@ TorqueModel Selector::without(const TorqueModel& model, std::size_t part) {
 
 std::vector<Variant> Selector::ripple_candidates(const TorqueModel& model) {
   if (model_.part(DriveTerm::Cogging).use != PartUse::Candidate) return {};
-  return ripples_in(design_, design_.residuals(model.fit), range_, model_, model.part(DriveTerm::Cogging), nullptr);
+  return ripples_in(design_, design_.residuals(model.fit), range_, model_, model.part(DriveTerm::Cogging),
+                    nullptr);
 }
 
-/// Friction that grows with the load and a torque constant that saturates depend on the rest of the model: by its last fit.
+/// Friction that grows with the load and a torque constant that saturates depend on the rest of the model: by
+/// its last fit.
 std::vector<Variant> Selector::load_candidates(const TorqueModel& model) {
   const auto wanted = [&](DriveTerm term) {
-    return model_.part(term).use == PartUse::Candidate && (model.part(term) == nullptr || !model.part(term)->frozen.empty());
+    return model_.part(term).use == PartUse::Candidate &&
+           (model.part(term) == nullptr || !model.part(term)->frozen.empty());
   };
   if (!wanted(DriveTerm::LoadFriction) && !wanted(DriveTerm::TorqueSaturation)) return {};
   FittedDrive drive{model_, {}, {}};
   for (FittedTerm& term : terms_of(model))
-    if (term.term != DriveTerm::LoadFriction && term.term != DriveTerm::TorqueSaturation) drive.terms.push_back(std::move(term));
+    if (term.term != DriveTerm::LoadFriction && term.term != DriveTerm::TorqueSaturation)
+      drive.terms.push_back(std::move(term));
   FittedDrive loads = drive;
   std::erase_if(loads.terms, [](const FittedTerm& term) { return !loads_drive(term.term); });
   std::vector<Variant> candidates;
@@ -242,14 +254,17 @@ std::vector<Variant> Selector::load_candidates(const TorqueModel& model) {
     variant.alternatives = term == DriveTerm::LoadFriction ? 2.0 : 1.0;
     candidates.push_back(std::move(variant));
   };
-  // Friction in proportion to the inertia's torque alone would be hard to tell from noise of the acceleration.
+  // Friction in proportion to the inertia's torque alone would be hard to tell from noise of the
+  // acceleration.
   FittedDrive static_loads = loads;
   std::erase_if(static_loads.terms, [](const FittedTerm& term) { return accelerates(term.term); });
   if (!static_loads.terms.empty()) {
     add(DriveTerm::LoadFriction, {BasisFunction::Carrier::Direction, BasisFunction::Factor::Load}, loads);
-    add(DriveTerm::LoadFriction, {BasisFunction::Carrier::Direction, BasisFunction::Factor::StaticLoad}, static_loads);
+    add(DriveTerm::LoadFriction, {BasisFunction::Carrier::Direction, BasisFunction::Factor::StaticLoad},
+        static_loads);
   }
-  add(DriveTerm::TorqueSaturation, {BasisFunction::Carrier::One, BasisFunction::Factor::BalanceCubed, range_.torque}, drive);
+  add(DriveTerm::TorqueSaturation,
+      {BasisFunction::Carrier::One, BasisFunction::Factor::BalanceCubed, range_.torque}, drive);
   return candidates;
 }
 
@@ -257,14 +272,16 @@ std::vector<Variant> Selector::pool_of(const TorqueModel& model) {
   std::vector<Variant> pool;
   for (const Variant& each : pool_) {
     const Variant* already = model.part(each.term);
-    if (already == nullptr || (each.term == DriveTerm::Regressor && already->name != each.name)) pool.push_back(each);
+    if (already == nullptr || (each.term == DriveTerm::Regressor && already->name != each.name))
+      pool.push_back(each);
   }
   for (Variant& each : ripple_candidates(model)) pool.push_back(std::move(each));
   for (Variant& each : load_candidates(model)) pool.push_back(std::move(each));
   return pool;
 }
 
-Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& less, const Variant& added) const {
+Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& less,
+                                    const Variant& added) const {
   Judgement judgement;
   const auto extra = static_cast<int>(more.fit.columns.size()) - static_cast<int>(less.fit.columns.size());
   const double nats = gain(more, less);
@@ -280,10 +297,12 @@ Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& 
     const double t = difference.mean / difference.error;
     by_blocks = -std::log(std::max(1e-300, statistics::fisher_f_p_value(t * t, 1.0, difference.count - 1.0)));
   }
-  judgement.significance_nats = std::min(by_likelihood, by_blocks) - std::log(std::max(1.0, added.alternatives));
+  judgement.significance_nats =
+      std::min(by_likelihood, by_blocks) - std::log(std::max(1.0, added.alternatives));
   judgement.material = difference.count > 0 && difference.mean > kCertain * difference.error &&
                        difference.mean * difference.count > kLeastTaken * difference.second;
-  const double square = design_.residuals(less.fit).squaredNorm(), taken = square - design_.residuals(more.fit).squaredNorm();
+  const double square = design_.residuals(less.fit).squaredNorm(),
+               taken = square - design_.residuals(more.fit).squaredNorm();
   const bool enough = square < std::pow(model_.good_enough * variation_, 2);
   judgement.material = judgement.material && taken > (enough ? kLeastTakenBeyond : kLeastTaken) * square;
   const std::vector<double> held_more = design_.held_out(more.fit), held_less = design_.held_out(less.fit);
@@ -306,17 +325,21 @@ Trial Selector::judged(const TorqueModel& model, const TorqueModel& larger, cons
 
 namespace {
 bool by_direction(const Variant& variant) {
-  return (variant.term == DriveTerm::FrictionPower || variant.term == DriveTerm::FrictionShape) && variant.functions.size() > 1;
+  return (variant.term == DriveTerm::FrictionPower || variant.term == DriveTerm::FrictionShape) &&
+         variant.functions.size() > 1;
 }
 }  // namespace
 
-/// A law of friction that differs by direction holds an asymmetry within itself: it has to say more than that.
+/// A law of friction that differs by direction holds an asymmetry within itself: it has to say more than
+/// that.
 double Selector::asymmetry_evidence(const TorqueModel& model, const std::vector<Variant>& variants) {
   double best = -std::numeric_limits<double>::infinity();
-  if (std::ranges::none_of(variants, by_direction) || model.part(DriveTerm::FrictionAsymmetry) != nullptr) return best;
+  if (std::ranges::none_of(variants, by_direction) || model.part(DriveTerm::FrictionAsymmetry) != nullptr)
+    return best;
   for (const Variant& variant : pool_)
     if (variant.term == DriveTerm::FrictionAsymmetry)
-      if (const TorqueModel other = with(model, variant); other.ok()) best = std::max(best, other.evidence + kRivalNats);
+      if (const TorqueModel other = with(model, variant); other.ok())
+        best = std::max(best, other.evidence + kRivalNats);
   return best;
 }
 
@@ -359,7 +382,8 @@ std::vector<Trial> Selector::trials(const TorqueModel& model) {
   return result;
 }
 
-/// Moves the free number of a shape to where the evidence is largest, by halving steps, and keeps its curvature.
+/// Moves the free number of a shape to where the evidence is largest, by halving steps, and keeps its
+/// curvature.
 TorqueModel Selector::refined(TorqueModel model, DriveTerm term) {
   const auto at = std::ranges::find(model.parts, term, &Variant::term);
   if (at == model.parts.end()) return model;
@@ -381,7 +405,8 @@ TorqueModel Selector::refined(TorqueModel model, DriveTerm term) {
   double curvature = 0.0;
   for (int round = 0; round < 6; ++round) {
     const TorqueModel up = moved(step), down = moved(-step);
-    if (up.ok() && down.ok()) curvature = (up.evidence - 2.0 * model.evidence + down.evidence) / (step * step);
+    if (up.ok() && down.ok())
+      curvature = (up.evidence - 2.0 * model.evidence + down.evidence) / (step * step);
     const TorqueModel& better = up.ok() && (!down.ok() || up.evidence > down.evidence) ? up : down;
     if (better.ok() && better.evidence > model.evidence) {
       model = better;
@@ -391,7 +416,9 @@ TorqueModel Selector::refined(TorqueModel model, DriveTerm term) {
     }
   }
   for (Variant& part : model.parts)
-    if (part.term == term) part.shape_sd = curvature < 0.0 ? 1.0 / std::sqrt(-curvature) : std::numeric_limits<double>::quiet_NaN();
+    if (part.term == term)
+      part.shape_sd =
+          curvature < 0.0 ? 1.0 / std::sqrt(-curvature) : std::numeric_limits<double>::quiet_NaN();
   return model;
 }
 
@@ -403,7 +430,9 @@ bool Selector::drop_what_is_no_longer_needed(TorqueModel& model) {
     Variant dropped = model.parts[p];
     const TorqueModel again = with(smaller, dropped);  // its coefficients last
     const Judgement judgement = judge(again, smaller, dropped);
-    if (judgement.significance_nats > critical(1.0) && judgement.material && again.evidence > smaller.evidence) continue;
+    if (judgement.significance_nats > critical(1.0) && judgement.material &&
+        again.evidence > smaller.evidence)
+      continue;
     model = smaller;
     return true;
   }
@@ -425,7 +454,9 @@ bool Selector::swap(TorqueModel& model) {
       for (const Variant& variant : pool_) {
         if (start.part(variant.term) != nullptr && variant.term != DriveTerm::Regressor) continue;
         TorqueModel other = with(start, variant);
-        if (!other.ok() || !(other.evidence > best.evidence + 1.0) || impossible(terms_of(other), range_, model_)) continue;
+        if (!other.ok() || !(other.evidence > best.evidence + 1.0) ||
+            impossible(terms_of(other), range_, model_))
+          continue;
         const Judgement judgement = judge(other, start, variant);
         if (judgement.significance_nats > critical(1.0) && judgement.material) best = std::move(other);
       }
@@ -444,7 +475,8 @@ bool Selector::difference_is_certain(const TorqueModel& better, const TorqueMode
   return difference.count > 0 && difference.mean > kCertain * difference.error;
 }
 
-/// Dry friction that differs by direction and a constant torque are the same while the drive slides: the constant comes first.
+/// Dry friction that differs by direction and a constant torque are the same while the drive slides: the
+/// constant comes first.
 void Selector::prefer_the_constant(TorqueModel& model) {
   for (std::size_t p = 0; p < model.parts.size(); ++p) {
     const Variant& part = model.parts[p];
@@ -453,7 +485,8 @@ void Selector::prefer_the_constant(TorqueModel& model) {
     if (!dry_only || is_base(part)) continue;
     for (const Variant& variant : pool_)
       if (variant.term == DriveTerm::TorqueOffset)
-        if (TorqueModel other = with(without(model, p), variant); other.ok() && other.evidence > model.evidence - kRivalNats) {
+        if (TorqueModel other = with(without(model, p), variant);
+            other.ok() && other.evidence > model.evidence - kRivalNats) {
           model = std::move(other);
           return;
         }
@@ -473,9 +506,12 @@ void Selector::find_rivals(Selection& selection) {
     for (const auto& [name, variants] : by_name) {
       const Trial other = trial(smaller, variants);
       // Between rivals the posterior decides, not whether each of them alone would have raised the alarm.
-      if (!other.material || !other.impossible.empty() || other.significance_nats < critical(1.0) - kRivalNats) continue;
+      if (!other.material || !other.impossible.empty() ||
+          other.significance_nats < critical(1.0) - kRivalNats)
+        continue;
       TorqueModel alternative = with(smaller, other.variant);
-      if (other.evidence > -kOverwhelmingNats && free_shape(other.variant) != nullptr) alternative = refined(alternative, other.variant.term);
+      if (other.evidence > -kOverwhelmingNats && free_shape(other.variant) != nullptr)
+        alternative = refined(alternative, other.variant.term);
       // What needs more numbers and does not fit better for them says nothing of its own.
       const int more = complexity(other.variant) - complexity(best.parts[p]);
       if (more > 0 && gain(alternative, best) < 3.0 * more) continue;
@@ -493,11 +529,14 @@ Selection Selector::run(const std::function<void(double)>& progress) {
   for (std::size_t t = 0; t < kDriveTermCount; ++t) {
     const auto term = static_cast<DriveTerm>(t);
     if (model_.parts[t].use != PartUse::Candidate || term == DriveTerm::Regressor) continue;
-    if (const auto reason = unidentifiable(term, range_, design_.data(), model_)) selection.unseen[std::string(name_of(term))] = *reason;
+    if (const auto reason = unidentifiable(term, range_, design_.data(), model_))
+      selection.unseen[std::string(name_of(term))] = *reason;
   }
   if (!selection.base.ok()) return selection;
   const auto effects = [&] { return selection.best.parts.size() - base_.size(); };
-  for (int stage = 0; stage < 2 * options_.most_effects && effects() < static_cast<std::size_t>(options_.most_effects); ++stage) {
+  for (int stage = 0;
+       stage < 2 * options_.most_effects && effects() < static_cast<std::size_t>(options_.most_effects);
+       ++stage) {
     progress(static_cast<double>(stage) / (options_.most_effects + 1.0));
     Selection::Stage step{trials(selection.best), {}};
     for (std::size_t i = 0; i < step.trials.size() && !step.chosen; ++i)

@@ -27,7 +27,7 @@ struct Trial {
   double significance_nats = 0.0;  ///< -ln p, its alternatives counted
   double evidence = 0.0;           ///< nats above the model's
   bool significant = false;
-  bool material = false;  ///< predicts what was left out
+  bool material = false;        ///< predicts what was left out
   std::string impossible = {};  ///< why no drive can be like that; empty if one can
   bool acceptable() const { return significant && material && impossible.empty(); }
 };
@@ -103,7 +103,8 @@ class Selector {
 };
 
 /// Variants of cogging: the orders that the residuals show, beside those already there.
-std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& whitened_residuals, const DriveRange& range,
-                                const DriveModel& model, const Variant* already, std::string* why_not);
+std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& whitened_residuals,
+                                const DriveRange& range, const DriveModel& model, const Variant* already,
+                                std::string* why_not);
 
 }  // namespace clampd::drive

@@ -88,7 +88,7 @@ std::optional<OrderTrial> trial_of(const std::vector<SteadyRun>& runs, double or
   // Fisher: of independent runs without this order, twice the sum is a chi-square of two each.
   const double p = statistics::chi_squared_p_value(2.0 * log_p, 2.0 * resolved);
   return OrderTrial{-std::log(std::max(1e-300, p)), gain, taken / variance,
-               heldout_after < (1.0 - 0.01) * heldout_before};
+                    heldout_after < (1.0 - 0.01) * heldout_before};
 }
 
 SteadyRipple::Order amplitudes(const std::vector<SteadyRun>& runs, double order, double share) {

@@ -49,7 +49,8 @@ std::vector<Variant> friction_shapes(Builder builder, const DriveRange& range) {
     for (const double exponent : {1.0, 2.0}) {
       const BasisFunction common{Carrier::Direction, Factor::Stribeck, speed, exponent};
       builder.add({common});
-      if (range.both_directions()) builder.add({common, {Carrier::Sliding, Factor::Stribeck, speed, exponent}});
+      if (range.both_directions())
+        builder.add({common, {Carrier::Sliding, Factor::Stribeck, speed, exponent}});
     }
   return builder.done();
 }
@@ -71,7 +72,8 @@ std::vector<Variant> gravities(Builder builder, const DriveRange& range, const D
   }
   std::vector<Variant> variants = builder.done();
   // The drive's own angle is what one expects: the others have to pay for their choice.
-  if (!variants.empty() && variants.front().functions.front().first == 1.0) variants.front().alternatives = 2.0;
+  if (!variants.empty() && variants.front().functions.front().first == 1.0)
+    variants.front().alternatives = 2.0;
   return variants;
 }
 
@@ -84,7 +86,8 @@ std::vector<Variant> drifts(Builder builder, const DriveRange& range) {
   builder.add({viscous_within});
   // Nothing warms up within seconds.
   if (range.duration_s > 30.0)
-    for (const double share : {0.1, 0.3}) builder.add({{Carrier::Direction, Factor::TimeDecay, share * range.duration_s}});
+    for (const double share : {0.1, 0.3})
+      builder.add({{Carrier::Direction, Factor::TimeDecay, share * range.duration_s}});
   if (range.runs > 1) {
     builder.add({per_run});
     builder.add({viscous_per_run});
@@ -105,7 +108,8 @@ std::vector<Variant> regressors(const DriveData& data, const DriveModel& model) 
     const int index = static_cast<int>(c);
     const double mean = sum / std::max(1.0, count);
     builder.add({{Carrier::One, Factor::Column, 0.0, 1.0, index}});
-    builder.add({{Carrier::One, Factor::Column, mean, 1.0, index}, {Carrier::One}});  // a sensor whose zero is unknown
+    builder.add({{Carrier::One, Factor::Column, mean, 1.0, index},
+                 {Carrier::One}});  // a sensor whose zero is unknown
     builder.add({{Carrier::Direction, Factor::Column, mean, 1.0, index}});
     builder.add({{Carrier::Velocity, Factor::Column, mean, 1.0, index}});
     for (Variant& each : builder.done()) all.push_back(std::move(each));
@@ -145,10 +149,12 @@ DriveRange range_of(const DriveData& data) {
   return range;
 }
 
-std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const DriveData& data, const DriveModel& model) {
+std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const DriveData& data,
+                                 const DriveModel& model) {
   Builder builder{term, std::string(name_of(term))};
   const BasisFunction slope{Carrier::One, Factor::Place, 0.0, std::max(range.half(), 1e-300)};
-  const BasisFunction place{Carrier::Direction, Factor::Place, range.centre(), std::max(range.half(), 1e-300)};
+  const BasisFunction place{Carrier::Direction, Factor::Place, range.centre(),
+                            std::max(range.half(), 1e-300)};
   BasisFunction curvature = place;
   curvature.factor = Factor::PlaceSquared;
   switch (term) {
@@ -224,12 +230,14 @@ std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const 
 std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& range, const DriveData& data,
                                              const DriveModel& model) {
   const bool one_speed = range.fast < 1.5 * range.slow;
-  const Unidentifiable directions{"the runs go in one direction only", "the same motion forward and backward"};
+  const Unidentifiable directions{"the runs go in one direction only",
+                                  "the same motion forward and backward"};
   const Unidentifiable speeds{"the runs go at about one speed",
-                              fmt::format("speeds from {:.2g} to {:.2g} {}/s, in both directions", 0.2 * range.fast, range.fast,
-                                          model.position_unit())};
-  const Unidentifiable places{"the position is integrated from the velocity, so that no place is the same in two runs",
-                              "the same runs with a position reading"};
+                              fmt::format("speeds from {:.2g} to {:.2g} {}/s, in both directions",
+                                          0.2 * range.fast, range.fast, model.position_unit())};
+  const Unidentifiable places{
+      "the position is integrated from the velocity, so that no place is the same in two runs",
+      "the same runs with a position reading"};
   const bool no_place = !data.position_absolute && range.runs > 1;
   switch (term) {
     case DriveTerm::TorqueOffset:
@@ -243,29 +251,35 @@ std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& r
       break;
     case DriveTerm::Presliding:
       if (model.steady || range.reversals < 3)
-        return Unidentifiable{"the drive hardly reverses while it is recorded", "slow reversals, ten or more, all over the range"};
+        return Unidentifiable{"the drive hardly reverses while it is recorded",
+                              "slow reversals, ten or more, all over the range"};
       break;
     case DriveTerm::FrictionPosition:
     case DriveTerm::LoadPosition:
-      if (model.steady) return Unidentifiable{"a run at steady speed counts as one point without a place", "runs to and fro"};
+      if (model.steady)
+        return Unidentifiable{"a run at steady speed counts as one point without a place", "runs to and fro"};
       if (no_place) return places;
       if (term == DriveTerm::LoadPosition && !range.both_directions()) return directions;
       break;
     case DriveTerm::InertiaPosition:
-      if (model.steady || !(range.acceleration > 0.0)) return Unidentifiable{"the drive hardly accelerates", "accelerations all over the range"};
+      if (model.steady || !(range.acceleration > 0.0))
+        return Unidentifiable{"the drive hardly accelerates", "accelerations all over the range"};
       if (no_place) return places;
       break;
     case DriveTerm::Gravity:
       if (model.linear) return Unidentifiable{"on a linear axis gravity is a constant: torque-offset", ""};
-      if (model.steady) return Unidentifiable{"a run at steady speed counts as one point without a place", "runs to and fro"};
+      if (model.steady)
+        return Unidentifiable{"a run at steady speed counts as one point without a place", "runs to and fro"};
       if (range.highest - range.lowest < 0.5)
-        return Unidentifiable{fmt::format("the drive turns by {:.2g} rad only", range.highest - range.lowest), "half a turn or more"};
+        return Unidentifiable{fmt::format("the drive turns by {:.2g} rad only", range.highest - range.lowest),
+                              "half a turn or more"};
       break;
     case DriveTerm::FrictionDrift:
       if (model.steady && range.runs < 8) return Unidentifiable{"too few runs", "more runs"};
       break;
     case DriveTerm::TorqueLag:
-      if (model.steady) return Unidentifiable{"at steady speed nothing changes that could be late", "accelerations"};
+      if (model.steady)
+        return Unidentifiable{"at steady speed nothing changes that could be late", "accelerations"};
       break;
     default:
       break;
@@ -274,7 +288,8 @@ std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& r
 }
 
 int complexity(const Variant& variant) {
-  return static_cast<int>(variant.functions.size()) - (variant.replaces_viscous ? 1 : 0) + (free_shape(variant) != nullptr ? 1 : 0);
+  return static_cast<int>(variant.functions.size()) - (variant.replaces_viscous ? 1 : 0) +
+         (free_shape(variant) != nullptr ? 1 : 0);
 }
 
 const double* free_shape(const Variant& variant) {
@@ -297,16 +312,18 @@ Variant with_shape(const Variant& variant, double shape) {
   Variant result = variant;
   result.columns.clear();
   if (variant.term == DriveTerm::TorqueLag) result.lag_s = shape;
-  for (BasisFunction& function : result.functions) (variant.term == DriveTerm::FrictionPower ? function.second : function.first) = shape;
+  for (BasisFunction& function : result.functions)
+    (variant.term == DriveTerm::FrictionPower ? function.second : function.first) = shape;
   return result;
 }
 
 namespace {
 
 bool rubs(DriveTerm term) {
-  constexpr std::array kFriction{DriveTerm::Viscous,       DriveTerm::Coulomb,       DriveTerm::FrictionAsymmetry,
-                                 DriveTerm::QuadraticDrag, DriveTerm::FrictionShape, DriveTerm::FrictionPosition,
-                                 DriveTerm::FrictionDrift, DriveTerm::FrictionPower};
+  constexpr std::array kFriction{DriveTerm::Viscous,           DriveTerm::Coulomb,
+                                 DriveTerm::FrictionAsymmetry, DriveTerm::QuadraticDrag,
+                                 DriveTerm::FrictionShape,     DriveTerm::FrictionPosition,
+                                 DriveTerm::FrictionDrift,     DriveTerm::FrictionPower};
   return std::ranges::find(kFriction, term) != kFriction.end();
 }
 
@@ -316,7 +333,8 @@ const FittedTerm* term_of(const std::vector<FittedTerm>& terms, DriveTerm wanted
   return nullptr;
 }
 
-std::optional<std::string> impossible_friction(const std::vector<FittedTerm>& terms, const DriveRange& range, const DriveModel& model) {
+std::optional<std::string> impossible_friction(const std::vector<FittedTerm>& terms, const DriveRange& range,
+                                               const DriveModel& model) {
   for (const double side : {1.0, -1.0}) {
     if (side > 0.0 ? range.forward < 0.05 : range.forward > 0.95) continue;
     for (const double share : {0.02, 0.1, 0.5, 1.0})
@@ -332,8 +350,8 @@ std::optional<std::string> impossible_friction(const std::vector<FittedTerm>& te
             for (std::size_t i = 0; i < term.functions.size(); ++i)
               friction += side * term.coefficients[i] * value_of(term.functions[i], state);
         if (friction < -0.02 * range.torque)
-          return fmt::format("friction would push the drive, with {:.2g} {} at {:.2g} {}/s", -friction, model.torque_unit,
-                             state.velocity, model.position_unit());
+          return fmt::format("friction would push the drive, with {:.2g} {} at {:.2g} {}/s", -friction,
+                             model.torque_unit, state.velocity, model.position_unit());
       }
   }
   return std::nullopt;
@@ -341,31 +359,38 @@ std::optional<std::string> impossible_friction(const std::vector<FittedTerm>& te
 
 }  // namespace
 
-std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, const DriveRange& range, const DriveModel& model) {
+std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, const DriveRange& range,
+                                      const DriveModel& model) {
   const auto first = [&](DriveTerm wanted) {
     const FittedTerm* term = term_of(terms, wanted);
-    return term == nullptr || term->coefficients.empty() ? std::nullopt : std::optional(term->coefficients.front());
+    return term == nullptr || term->coefficients.empty() ? std::nullopt
+                                                         : std::optional(term->coefficients.front());
   };
-  if (const auto inertia = first(DriveTerm::Inertia); inertia && *inertia * range.acceleration < -0.02 * range.torque)
+  if (const auto inertia = first(DriveTerm::Inertia);
+      inertia && *inertia * range.acceleration < -0.02 * range.torque)
     return "the inertia would be negative";
   if (const auto rise = first(DriveTerm::FrictionShape); rise && *rise < 0.0)
     return "friction would be less at low speed; that is friction-power";
-  if (const auto power = first(DriveTerm::FrictionPower); power && *power < 0.0 && term_of(terms, DriveTerm::Viscous) == nullptr)
+  if (const auto power = first(DriveTerm::FrictionPower);
+      power && *power < 0.0 && term_of(terms, DriveTerm::Viscous) == nullptr)
     return "friction would fall with speed";
   if (const auto level = first(DriveTerm::Presliding)) {
     const double coulomb = first(DriveTerm::Coulomb).value_or(0.0);
     if (*level < 0.0) return "friction would be above its level after a reversal, not below";
     if (*level > 2.4 * coulomb) return "friction would lack more than twice itself after a reversal";
   }
-  if (const auto load = first(DriveTerm::LoadFriction); load && *load < 0.0) return "friction would be less under load";
-  if (const auto cubed = first(DriveTerm::TorqueSaturation); cubed && *cubed < 0.0) return "the drive's torque would grow more than its reading";
+  if (const auto load = first(DriveTerm::LoadFriction); load && *load < 0.0)
+    return "friction would be less under load";
+  if (const auto cubed = first(DriveTerm::TorqueSaturation); cubed && *cubed < 0.0)
+    return "the drive's torque would grow more than its reading";
   if (const FittedTerm* mass = term_of(terms, DriveTerm::InertiaPosition))
     for (const double place : {-1.0, 0.0, 1.0}) {
       DriveState state;
       state.acceleration = 1.0;
       state.position = range.centre() + place * range.half();
       double inertia = first(DriveTerm::Inertia).value_or(0.0);
-      for (std::size_t i = 0; i < mass->functions.size(); ++i) inertia += mass->coefficients[i] * value_of(mass->functions[i], state);
+      for (std::size_t i = 0; i < mass->functions.size(); ++i)
+        inertia += mass->coefficients[i] * value_of(mass->functions[i], state);
       if (inertia < 0.0) return "the inertia would be negative at some place";
     }
   return impossible_friction(terms, range, model);

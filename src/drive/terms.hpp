@@ -41,19 +41,22 @@ struct Variant {
   std::vector<int> frozen = {};
 
   bool operator==(const Variant& other) const {
-    return name == other.name && functions == other.functions && replaces_viscous == other.replaces_viscous && lag_s == other.lag_s;
+    return name == other.name && functions == other.functions && replaces_viscous == other.replaces_viscous &&
+           lag_s == other.lag_s;
   }
 };
 
 /// All variants of a term that do not depend on the model beside it.
-std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const DriveData& data, const DriveModel& model);
+std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const DriveData& data,
+                                 const DriveModel& model);
 
 /// Why these runs cannot show the term, and what motion would; nothing if they can.
 struct Unidentifiable {
   std::string reason;
   std::string motion;  ///< to record next
 };
-std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& range, const DriveData& data, const DriveModel& model);
+std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& range, const DriveData& data,
+                                             const DriveModel& model);
 
 /// Numbers that a variant brings: coefficients and a free shape.
 int complexity(const Variant& variant);
@@ -63,7 +66,8 @@ const double* free_shape(const Variant& variant);
 Variant with_shape(const Variant& variant, double shape);
 
 /// Why no drive can be like this: "friction would push the drive at 3 rad/s forward". Nothing if one can.
-std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, const DriveRange& range, const DriveModel& model);
+std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, const DriveRange& range,
+                                      const DriveModel& model);
 
 /// "torque ripples periodically with position"
 std::string_view words_of(DriveTerm term);

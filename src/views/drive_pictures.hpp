@@ -5,8 +5,8 @@
 #include <string>
 
 #include "clampd/diagnose/diagnosis.hpp"
-#include "clampd/views/figure.hpp"
 #include "clampd/views/diagnosis_subject.hpp"
+#include "clampd/views/figure.hpp"
 
 namespace clampd::pictures {
 

@@ -153,10 +153,13 @@ TEST(DriveDiagnosis, AnOffsetAndAsymmetricDryFrictionAreTwinsWhileSliding) {
   EXPECT_THAT(motion.drive_enabled, ::testing::AllOf(::testing::SizeIs(motion.size()), ::testing::Each(0.0)));
 }
 
-// A load cell reads the load from outside 2.5 times too small and with an offset; beside it a temperature that does nothing.
+// A load cell reads the load from outside 2.5 times too small and with an offset; beside it a temperature
+// that does nothing.
 TEST(DriveDiagnosis, NamesTheColumnThatIsPartOfTheTorque) {
   Truth truth;
-  truth.load = [](double t) { return 0.04 * std::sin(2.9 * t) + 0.03 * std::sin(7.3 * t + 1.0) - 0.02 * std::cos(1.1 * t); };
+  truth.load = [](double t) {
+    return 0.04 * std::sin(2.9 * t) + 0.03 * std::sin(7.3 * t + 1.0) - 0.02 * std::cos(1.1 * t);
+  };
   std::vector<DriveRun> runs = simulate_set(truth, 312);
   std::mt19937_64 random(313);
   std::normal_distribution<double> normal;
@@ -203,7 +206,9 @@ TEST(DriveDiagnosis, WhatIsNotOnTheListHasNoName) {
   Truth bump;
   bump.extra = [](double q, double, int) { return 0.06 * std::exp(-(q - 3.0) * (q - 3.0) / 4.0); };
   Truth resonance;  // a torque at one speed only
-  resonance.extra = [](double, double v, int) { return std::copysign(0.06, v) * std::exp(-std::pow((std::abs(v) - 14.0) / 2.0, 2)); };
+  resonance.extra = [](double, double v, int) {
+    return std::copysign(0.06, v) * std::exp(-std::pow((std::abs(v) - 14.0) / 2.0, 2));
+  };
   for (const auto& [truth, variable] : {std::pair{bump, "position"}, {resonance, "velocity"}}) {
     const Diagnosis diagnosis = diagnosed(simulate_set(truth, 303));
     EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Unexplained) << diagnosis.summary;
@@ -352,7 +357,8 @@ TEST(DriveDiagnosis, OneDirectionCannotShowAnOffset) {
   EXPECT_THAT(diagnosis.next_experiment->why, HasSubstr("forward and backward"));
   EXPECT_THAT(diagnosis.next_experiment->why, HasSubstr("torque-offset"));
   const DriveRun& motion = diagnosis.next_experiment->trajectory;
-  const auto [slowest, fastest] = std::minmax_element(motion.velocity_rad_s.begin(), motion.velocity_rad_s.end());
+  const auto [slowest, fastest] =
+      std::minmax_element(motion.velocity_rad_s.begin(), motion.velocity_rad_s.end());
   EXPECT_NEAR(*slowest, -*fastest, 0.1 * *fastest);
   const auto [lowest, highest] = std::minmax_element(run.position_rad.begin(), run.position_rad.end());
   const auto [least, most] = std::minmax_element(motion.position_rad.begin(), motion.position_rad.end());

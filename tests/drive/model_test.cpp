@@ -115,8 +115,8 @@ TEST(ForeignColumns, AreShiftedAndSubtractedAfterLinesThatAreNotRead) {
       "[data]\nskip_lines = 2\n",
       "m.toml");
   ASSERT_TRUE(model) << model.error().message;
-  const Result<LoadedRun> loaded =
-      parse_run("logger 7\nt,q,rear,front,F\nt,q,rear,front,F\n0,1,2,5,4\n1,2,4,4,8\n", "r.csv", model->columns);
+  const Result<LoadedRun> loaded = parse_run(
+      "logger 7\nt,q,rear,front,F\nt,q,rear,front,F\n0,1,2,5,4\n1,2,4,4,8\n", "r.csv", model->columns);
   ASSERT_TRUE(loaded) << loaded.error().message;
   EXPECT_THAT(loaded->run.torque_Nm, ElementsAre(5, -1));
   ASSERT_EQ(loaded->run.others.size(), 1u);
@@ -134,10 +134,13 @@ TEST(ForeignColumns, AreShiftedAndSubtractedAfterLinesThatAreNotRead) {
 
 TEST(DriveModelFile, RefusesWrongOffsetsAndLines) {
   const std::string columns = "[drive]\nkind = \"rotary\"\n[columns]\ntime = \"t\"\nposition = \"q\"\n";
-  EXPECT_THAT(error_of(columns + "torque = {column = \"u\", offset = \"1\"}\n"), HasSubstr("offset must be a finite number"));
+  EXPECT_THAT(error_of(columns + "torque = {column = \"u\", offset = \"1\"}\n"),
+              HasSubstr("offset must be a finite number"));
   EXPECT_EQ(error_of(columns + "torque = {column = \"u\", offset = 0}\n"), "");
-  EXPECT_THAT(error_of(columns + "torque = {column = \"u\", minus = 3}\n"), HasSubstr("minus must be a text"));
-  EXPECT_THAT(error_of(columns + "torque = \"u\"\n[data]\nskip_lines = -1\n"), HasSubstr("skip_lines must be a positive number"));
+  EXPECT_THAT(error_of(columns + "torque = {column = \"u\", minus = 3}\n"),
+              HasSubstr("minus must be a text"));
+  EXPECT_THAT(error_of(columns + "torque = \"u\"\n[data]\nskip_lines = -1\n"),
+              HasSubstr("skip_lines must be a positive number"));
 }
 
 TEST(ForeignColumns, KeepTheMessagesOfRunFiles) {

@@ -52,7 +52,8 @@ TEST(DrivePrediction, TheSpeedUpIsTheExactOneAtAnySampling) {
       const std::vector<double>& velocity = run.quantities.back().predicted;
       for (std::size_t k = 1; k < velocity.size(); ++k) {
         const double exact = 1.5 * (1.0 - std::exp(-viscous / inertia * run.time_s[k]));
-        ASSERT_NEAR(velocity[k], exact, 0.02 * 1.5) << rate_Hz << " Hz, J " << inertia << ", at " << run.time_s[k];
+        ASSERT_NEAR(velocity[k], exact, 0.02 * 1.5)
+            << rate_Hz << " Hz, J " << inertia << ", at " << run.time_s[k];
       }
       EXPECT_NEAR(velocity.back(), 1.5 * (1.0 - std::exp(-viscous / inertia)), 0.01);
     }
@@ -69,7 +70,8 @@ TEST(DrivePrediction, DryFrictionHoldsExactlyAndNeverDrives) {
   }
 }
 
-// The drive of another simulation: its torque alone gives its motion, and a model with a tenth more friction does not.
+// The drive of another simulation: its torque alone gives its motion, and a model with a tenth more friction
+// does not.
 TEST(DrivePrediction, TheTrueModelPredictsAndAWrongOneDoesNot) {
   drive_test::RecordedDrive truth;
   truth.reference_rate = drive_test::trapezoids(4);
@@ -88,8 +90,10 @@ TEST(DrivePrediction, TheTrueModelPredictsAndAWrongOneDoesNot) {
   EXPECT_LT(error_of(right.limited[0].quantities[1]).of_standard_deviation, 0.02);
   drive.terms[2].coefficients[0] *= 1.1;
   const PredictedRun wrong = predicted(run, drive);
-  EXPECT_GT(error_of(wrong.quantities[0]).of_standard_deviation, 3.0 * error_of(right.quantities[0]).of_standard_deviation);
-  EXPECT_GT(error_of(wrong.quantities[0]).rms, error_of(wrong.limited[0].quantities[0]).rms) << "an open loop drifts";
+  EXPECT_GT(error_of(wrong.quantities[0]).of_standard_deviation,
+            3.0 * error_of(right.quantities[0]).of_standard_deviation);
+  EXPECT_GT(error_of(wrong.quantities[0]).rms, error_of(wrong.limited[0].quantities[0]).rms)
+      << "an open loop drifts";
 }
 
 TEST(DrivePrediction, ALateTorqueIsMovedBack) {
@@ -102,7 +106,8 @@ TEST(DrivePrediction, ALateTorqueIsMovedBack) {
   // The reading of a row is the torque of 10 rows before.
   run.torque_Nm.insert(run.torque_Nm.begin(), 10, run.torque_Nm.front());
   run.torque_Nm.resize(run.size());
-  FittedDrive drive = drive_of(truth.inertia, truth.inertia * truth.viscous, truth.inertia * truth.length * truth.coulomb);
+  FittedDrive drive =
+      drive_of(truth.inertia, truth.inertia * truth.viscous, truth.inertia * truth.length * truth.coulomb);
   drive.model.torque_held = true;
   const double as_read = error_of(predicted(run, drive).limited[0].quantities[1]).rms;
   double least = as_read;
@@ -135,17 +140,20 @@ TEST(DrivePrediction, WhatCannotBeSimulatedIsAnError) {
 
 TEST(Prediction, ErrorsAreThoseOfTheRowsThatCount) {
   const double none = std::numeric_limits<double>::quiet_NaN();
-  const PredictionError error = error_of({"force", "N", {1.0, -1.0, 1.0, -1.0, 9.0}, {1.5, -0.5, 1.5, -0.5, none}});
+  const PredictionError error =
+      error_of({"force", "N", {1.0, -1.0, 1.0, -1.0, 9.0}, {1.5, -0.5, 1.5, -0.5, none}});
   EXPECT_DOUBLE_EQ(error.rms, 0.5);
   EXPECT_DOUBLE_EQ(error.of_standard_deviation, 0.5);
   EXPECT_DOUBLE_EQ(error.fit_percent, 50.0);
-  EXPECT_TRUE(std::isnan(error_of({"force", "N", {2.0, 2.0}, {1.0, 3.0}}).fit_percent)) << "a constant has no fit";
+  EXPECT_TRUE(std::isnan(error_of({"force", "N", {2.0, 2.0}, {1.0, 3.0}}).fit_percent))
+      << "a constant has no fit";
   PredictedRun run;
   run.name = "a,b.csv";
   run.time_s = {0.0, 0.1};
   run.quantities = {{"force", "N", {1.0, 2.0}, {0.5, none}}};
   EXPECT_EQ(format_residuals(std::span(&run, 1)),
-            "run,time_s,force_measured,force_predicted,force_residual\n\"a,b.csv\",0,1,0.5,0.5\n\"a,b.csv\",0.1,2,,\n");
+            "run,time_s,force_measured,force_predicted,force_residual\n\"a,b.csv\",0,1,0.5,0.5\n\"a,b.csv\","
+            "0.1,2,,\n");
 }
 
 }  // namespace

@@ -22,7 +22,7 @@ struct Truth {
   /// Dry friction at this speed, place and run.
   std::function<double(double position, double velocity, int run)> dry;
   std::function<double(double time_s)> load;  ///< torque from outside that opposes the positive direction
-  double bristle_rad = 0.0;  ///< of presliding; 0: rigid
+  double bristle_rad = 0.0;                   ///< of presliding; 0: rigid
   double duration_s = 12.0;
   double torque_noise = 0.01, position_noise_rad = 2e-5, disturbance = 0.004;
   double sample_jitter = 0.0;  ///< share of the period

@@ -38,8 +38,9 @@ struct DiagnoseCommand {
 };
 
 Result<void> check_outputs(const DiagnoseCommand& command) {
-  const std::array outputs{cli::OutputOption{"--json", command.json}, cli::OutputOption{"--report", command.report},
-                           cli::OutputOption{"--save", command.save}, cli::OutputOption{"--next", command.next, false}};
+  const std::array outputs{
+      cli::OutputOption{"--json", command.json}, cli::OutputOption{"--report", command.report},
+      cli::OutputOption{"--save", command.save}, cli::OutputOption{"--next", command.next, false}};
   if (Result<void> checked = cli::check_outputs(outputs); !checked) return checked;
   for (const std::string& held : command.heldout)
     if (std::find(command.files.begin(), command.files.end(), held) != command.files.end())
@@ -78,10 +79,7 @@ Result<void> write_outputs(const DiagnoseCommand& command, const Diagnosis& diag
     if (Result<void> written = write_file_atomically(command.report, *html); !written) return written;
   }
   if (!command.save.empty())
-    if (Result<void> written =
-            write_file_atomically(command.save, model);
-        !written)
-      return written;
+    if (Result<void> written = write_file_atomically(command.save, model); !written) return written;
   if (!command.next.empty()) {
     if (!diagnosis.next_experiment) {
       cli::print_notice(
@@ -161,7 +159,8 @@ void add_diagnose_command(CLI::App& app, int& exit_code) {
       ->type_name("RUN.csv");
   command
       ->add_option("--holdout", options->heldout,
-                   "runs that the models are judged by and never fitted to (default: every third run; of a drive, each fifth of the rows in turn)")
+                   "runs that the models are judged by and never fitted to (default: every third run; of a "
+                   "drive, each fifth of the rows in turn)")
       ->type_name("RUN.csv");
   command
       ->add_option("--model", options->model,

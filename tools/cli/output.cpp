@@ -48,10 +48,12 @@ Result<void> check_outputs(std::span<const OutputOption> outputs, const std::vec
     if (path.empty()) continue;
     if (path == "-" && option != "--json") return failure(fmt::format("{} needs the name of a file", option));
     for (const OutputOption& other : outputs.first(i))
-      if (other.path == path) return failure(fmt::format("{} and {} name the same file", other.option, option));
+      if (other.path == path)
+        return failure(fmt::format("{} and {} name the same file", other.option, option));
     if (std::ranges::find(read, path) != read.end())
       return failure(fmt::format("{} would overwrite {}, which is read", option, path));
-    if (Result<void> writable = is_document ? check_document(path) : check_writable(path); !writable) return writable;
+    if (Result<void> writable = is_document ? check_document(path) : check_writable(path); !writable)
+      return writable;
   }
   return {};
 }

@@ -29,7 +29,8 @@ struct OutputOption {
   bool is_document = true;  ///< as check_document() asks of it; else as check_writable() does
 };
 
-/// Whether all files can be written: each once, over none that is read, and none but --json to standard output.
+/// Whether all files can be written: each once, over none that is read, and none but --json to standard
+/// output.
 Result<void> check_outputs(std::span<const OutputOption> outputs, const std::vector<std::string>& read = {});
 
 /// Writes the document where the user asked for it: nowhere for an empty path, to standard output for "-".

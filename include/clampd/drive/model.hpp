@@ -27,8 +27,8 @@ struct DrivePart {
   double value = 0.0;  ///< if fixed
 };
 
-/// The parts that a model file can switch by these names. The first three are the base model by default and may be estimated,
-/// fixed or off; the others are candidates by default and may be estimated or off.
+/// The parts that a model file can switch by these names. The first three are the base model by default and
+/// may be estimated, fixed or off; the others are candidates by default and may be estimated or off.
 enum class DriveTerm {
   Inertia,
   Viscous,
@@ -51,28 +51,33 @@ enum class DriveTerm {
   Regressor,  ///< a column of the user's own; named column:NAME
 };
 inline constexpr std::array<std::string_view, 19> kDriveTermNames{
-    "inertia",       "viscous",        "coulomb",      "torque-offset",     "friction-asymmetry", "quadratic-drag", "friction-shape",
-    "presliding",    "cogging",        "friction-position", "load-position", "friction-drift",    "gravity",        "friction-power",
-    "load-friction", "torque-saturation", "torque-lag", "inertia-position", "column"};
+    "inertia",           "viscous",        "coulomb",          "torque-offset",  "friction-asymmetry",
+    "quadratic-drag",    "friction-shape", "presliding",       "cogging",        "friction-position",
+    "load-position",     "friction-drift", "gravity",          "friction-power", "load-friction",
+    "torque-saturation", "torque-lag",     "inertia-position", "column"};
 inline constexpr std::size_t kDriveTermCount = kDriveTermNames.size();
-constexpr std::string_view name_of(DriveTerm term) { return kDriveTermNames[static_cast<std::size_t>(term)]; }
+constexpr std::string_view name_of(DriveTerm term) {
+  return kDriveTermNames[static_cast<std::size_t>(term)];
+}
 
 /// A column of the user's own: a load cell, a temperature, a gravity torque that was computed elsewhere.
 struct DriveRegressor {
   std::string name;  ///< as in "column:NAME"; the run's RunColumn has the same
   PartUse use = PartUse::Candidate;
-  bool known_torque = false;  ///< it is a torque in the unit of the torque column and is counted with the factor 1
+  bool known_torque =
+      false;  ///< it is a torque in the unit of the torque column and is counted with the factor 1
 };
 
-/// A bare drive: torque and motion, no clamp force. Its model file says which columns its runs have, in which units, and which
-/// parts of the torque balance
+/// A bare drive: torque and motion, no clamp force. Its model file says which columns its runs have, in which
+/// units, and which parts of the torque balance
 ///   T = J a + Tv v + TC sign(v) + effects
 /// are estimated.
 struct DriveModel {
   std::string file;
   std::string name;
   bool linear = false;  ///< position in m and J in kg instead of rad and kg m^2
-  /// "N m", "N", "A", "V" or "%": what `torque` is in. With A, V and %, every parameter is that per torque constant.
+  /// "N m", "N", "A", "V" or "%": what `torque` is in. With A, V and %, every parameter is that per torque
+  /// constant.
   std::string torque_unit = "N m";
   ColumnMap columns;
   std::vector<DriveRegressor> regressors;
@@ -95,7 +100,8 @@ struct DriveState {
   double time_s = 0.0;  ///< since the run began
   int run = 0;          ///< 0, 1, ... in the order of the files
   double position = 0.0, velocity = 0.0, acceleration = 0.0;
-  /// +1 or -1 while it slides, 0 at standstill. In between: how much of the friction acts, for a simulation that sticks.
+  /// +1 or -1 while it slides, 0 at standstill. In between: how much of the friction acts, for a simulation
+  /// that sticks.
   double direction = 0.0;
   double travel = std::numeric_limits<double>::infinity();  ///< since the last reversal
   std::span<const double> columns = {};                     ///< in the order of DriveModel::regressors
@@ -103,25 +109,31 @@ struct DriveState {
 
 /// One function of the state, whose multiple is a torque: carrier(state) times factor(state; first, second).
 struct BasisFunction {
-  enum class Carrier { One, Acceleration, Velocity, Direction, Sliding };  ///< 1, a, v, direction, abs(direction)
+  enum class Carrier {
+    One,
+    Acceleration,
+    Velocity,
+    Direction,
+    Sliding
+  };  ///< 1, a, v, direction, abs(direction)
   enum class Factor {
     One,
-    Power,          ///< (abs(v) / first)^second
-    Stribeck,       ///< exp(-(abs(v) / first)^second)
-    Reversal,       ///< -exp(-travel / first): what friction still lacks after a reversal
-    Place,          ///< (position - first) / second
-    PlaceSquared,   ///< Legendre's second polynomial of that
-    Cosine,         ///< cos(first * position)
-    Sine,           ///< sin(first * position)
-    Time,           ///< (time_s - first) / second
-    TimeDecay,      ///< exp(-time_s / first)
-    Run,            ///< run - first
-    Column,         ///< columns[index] - first
-    ColumnSize,     ///< abs(columns[index])
-    StaticLoad,     ///< as Load, without inertia
-    Load,           ///< abs(sum of the terms that load the drive: inertia, gravity, offset, springs, columns)
-    Balance,        ///< sum of all other terms
-    BalanceCubed,   ///< its third power over first squared
+    Power,         ///< (abs(v) / first)^second
+    Stribeck,      ///< exp(-(abs(v) / first)^second)
+    Reversal,      ///< -exp(-travel / first): what friction still lacks after a reversal
+    Place,         ///< (position - first) / second
+    PlaceSquared,  ///< Legendre's second polynomial of that
+    Cosine,        ///< cos(first * position)
+    Sine,          ///< sin(first * position)
+    Time,          ///< (time_s - first) / second
+    TimeDecay,     ///< exp(-time_s / first)
+    Run,           ///< run - first
+    Column,        ///< columns[index] - first
+    ColumnSize,    ///< abs(columns[index])
+    StaticLoad,    ///< as Load, without inertia
+    Load,          ///< abs(sum of the terms that load the drive: inertia, gravity, offset, springs, columns)
+    Balance,       ///< sum of all other terms
+    BalanceCubed,  ///< its third power over first squared
   };
   Carrier carrier = Carrier::One;
   Factor factor = Factor::One;
@@ -156,18 +168,20 @@ struct FittedDrive {
   double lag_s = 0.0;
   double cut_off_Hz = std::numeric_limits<double>::quiet_NaN();  ///< of the rows it was fitted to
   double slow_speed = 0.0;  ///< below this, a reading of speed was counted as standstill
-  double error_rms = std::numeric_limits<double>::quiet_NaN();  ///< of the torque, on rows that were not fitted
+  double error_rms =
+      std::numeric_limits<double>::quiet_NaN();  ///< of the torque, on rows that were not fitted
 };
 
-/// The torque that the drive needs in this state, by the fitted terms. Linear in the acceleration, but for load friction and
-/// saturation, with which it still grows with it.
+/// The torque that the drive needs in this state, by the fitted terms. Linear in the acceleration, but for
+/// load friction and saturation, with which it still grows with it.
 double torque_of(const FittedDrive& drive, const DriveState& state);
 
 /// Reads a model file; docs/drives.md lists all keys. Errors name file, line, column and key.
 Result<DriveModel> read_drive_model(const std::string& path);
 Result<DriveModel> parse_drive_model(const std::string& text, const std::string& path);
 
-/// Reads a model file with a section [fitted], as format_fitted_drive() writes it. Errors as above, and where it is missing.
+/// Reads a model file with a section [fitted], as format_fitted_drive() writes it. Errors as above, and where
+/// it is missing.
 Result<FittedDrive> read_fitted_drive(const std::string& path);
 Result<FittedDrive> parse_fitted_drive(const std::string& text, const std::string& path);
 
