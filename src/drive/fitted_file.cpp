@@ -127,9 +127,10 @@ class FittedReader : public drive::StrictReader {
     drive.model = std::move(model);
     const toml::table* fitted = document_["fitted"].as_table();
     if (fitted == nullptr) {
-      error_ = Error{
-          fmt::format("{}: the section [fitted] is missing; write one with `clampctl diagnose ... --save {}`",
-                      path_, path_)};
+      error_ = Error{fmt::format(
+          "{}: the section [fitted] is missing; fit the model to runs and save it under another name: "
+          "`clampctl diagnose RUN.csv ... --model {} --save SAVED.toml`",
+          path_, path_)};
       return drive;
     }
     drive.lag_s = number(*fitted, "lag_s", 0.0);
