@@ -497,7 +497,8 @@ TEST(ControlCore, OtherThreadsMayUseItsBoardsAtAnyTime) {
     }
     EXPECT_LE(captured, FlightRecorder::kCapacity);
   });
-  for (int i = 0; i < 200'000 && (i < 5'000 || station.core.status().checks_finished < 5); ++i) {
+  // As many ticks as it takes until every thread had its turn; on a busy machine one may start late.
+  for (int i = 0; i < 5'000 || drained == 0 || station.core.status().checks_finished < 5; ++i) {
     station.tick();
     if (i % 16 == 0) std::this_thread::yield();
   }
@@ -505,9 +506,7 @@ TEST(ControlCore, OtherThreadsMayUseItsBoardsAtAnyTime) {
   worker.join();
   session.join();
   publisher.join();
-  EXPECT_GE(station.core.status().checks_finished, 5U);
   EXPECT_LE(station.core.status().checks_finished, asked);
-  EXPECT_GT(drained, 0);
 }
 
 }  // namespace
