@@ -3,22 +3,14 @@
 #include <fmt/core.h>
 
 #include <algorithm>
-#include <bit>
-#include <boost/crc.hpp>
-#include <charconv>
 #include <cmath>
-#include <cstring>
-#include <limits>
 #include <numbers>
 #include <utility>
 
-#include "clampd/base/assert.hpp"
 #include "clampd/base/clock.hpp"
 
 namespace clampd::can {
 namespace {
-
-static_assert(std::endian::native == std::endian::little, "Field loads frames as little-endian words");
 
 struct Unit {
   std::string_view name;
@@ -65,6 +57,10 @@ Result<Place> find(const Database& database, std::string_view what, const std::s
     return failure(fmt::format("{}: {} in {} is multiplexed; the loop needs it in every frame", what, place,
                                database.file));
   }
+  if (!Field::fits(*signal)) {
+    return failure(fmt::format("{}: {} in {} has {} bits and begins within a byte; the station reads up to 57 there",
+                               what, place, database.file, signal->bits));
+  }
   return Place{message, signal};
 }
 
@@ -80,174 +76,39 @@ Result<double> si_factor(const Database& database, std::string_view what, const 
       fmt::format("{}: {} in {} has the unit \"{}\"; expected {}", what, place, database.file, unit, known));
 }
 
+/// CAN FD by its size, or because Vector's attribute says so: 14 and 15 are its standard and extended FD frames.
+Result<FrameFormat> frame_format(const Message& message, const ProtocolMapping& mapping,
+                                 const std::string& where) {
+  const auto found = message.attributes.find("VFrameFormat");
+  const std::string text = found == message.attributes.end() ? "" : found->second;
+  const bool declared = text == "14" || text == "15" || text.ends_with("_FD");
+  if (message.size_bytes <= kClassicBytes && !declared) return FrameFormat::Classic;
+  if (!is_fd_size(message.size_bytes))
+    return failure(fmt::format("{} has {} bytes; a CAN FD frame has up to 8, 12, 16, 20, 24, 32, 48 or 64",
+                               where, message.size_bytes));
+  return mapping.fast_data ? FrameFormat::FdFastData : FrameFormat::Fd;
+}
+
 Result<FrameLayout> frame_layout(const Database& database, const Message& message,
                                  const ProtocolMapping& mapping) {
   const std::string where = fmt::format("message {} of {}", message.name, database.file);
-  if (message.size_bytes > 8) {
-    return failure(
-        fmt::format("{} has {} bytes; a classic CAN frame has at most 8", where, message.size_bytes));
-  }
   if (!message.defects.empty()) return failure(message.defects.front());
-  FrameLayout layout;
-  layout.id = message.id;
-  layout.size = static_cast<std::uint8_t>(message.size_bytes);
-
-  const Signal* counter = message.find_signal(mapping.counter);
-  if (counter == nullptr || counter->bits != 4 || counter->type != ValueType::Unsigned ||
-      counter->scale != 1.0 || counter->offset != 0.0 || counter->multiplexor) {
-    return failure(fmt::format("{} needs an alive counter {}: 4 bits, unsigned, scale 1, offset 0", where,
-                               mapping.counter));
-  }
-  layout.counter = Field{*counter, 1.0};
-
-  const Signal* crc = message.find_signal(mapping.crc);
-  const bool byte_aligned =
-      crc != nullptr && crc->bits == 8 && crc->start_bit % 8 == (crc->order == ByteOrder::Intel ? 0U : 7U);
-  if (!byte_aligned || crc->type != ValueType::Unsigned || crc->scale != 1.0 || crc->offset != 0.0 ||
-      crc->multiplexor) {
-    return failure(fmt::format("{} needs a CRC {}: 8 bits that fill one byte, unsigned, scale 1, offset 0",
-                               where, mapping.crc));
-  }
-  layout.crc_byte = crc->start_bit / 8;
-
-  layout.data_id = static_cast<std::uint16_t>(message.id & 0xFFFFU);
-  if (const auto found = message.attributes.find("E2EDataId"); found != message.attributes.end()) {
-    const std::string& text = found->second;
-    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), layout.data_id);
-    if (error != std::errc{} || end != text.data() + text.size()) {
-      return failure(fmt::format("{}: the attribute E2EDataId is '{}'; expected 0 to 65535", where, text));
-    }
-  }
-  return layout;
-}
-
-std::uint64_t little_endian_word(const Frame& frame) noexcept {
-  std::uint64_t word = 0;
-  std::memcpy(&word, frame.data.data(), sizeof word);
-  return word;
+  const auto format = frame_format(message, mapping, where);
+  if (!format) return failure(format.error().message);
+  auto protection = FrameProtection::build(message, mapping.counter, mapping.crc, mapping.protection, where);
+  if (!protection) return failure(protection.error().message);
+  return FrameLayout{message.id, static_cast<std::uint8_t>(message.size_bytes), *format, *protection};
 }
 
 }  // namespace
 
-Field::Field(const Signal& signal, double si_per_unit)
-    : motorola_{signal.order == ByteOrder::Motorola},
-      type_{signal.type},
-      bits_{static_cast<unsigned>(signal.bits)},
-      mask_{signal.bits == 64 ? ~0ULL : (1ULL << signal.bits) - 1},
-      scale_{signal.scale * si_per_unit},
-      offset_{signal.offset * si_per_unit} {
-  const auto start = static_cast<unsigned>(signal.start_bit);
-  // In the byte-swapped word the signal's highest bit sits start/8 bytes and 7 - start%8 bits from the top.
-  const unsigned from_top = 8 * (start / 8) + 7 - start % 8;
-  CLAMPD_ASSERT((motorola_ ? from_top : start) + bits_ <= 64);
-  shift_ = motorola_ ? 64 - from_top - bits_ : start;
-  if (signal.has_range()) {
-    minimum_ = signal.minimum * si_per_unit;
-    maximum_ = signal.maximum * si_per_unit;
-  } else {
-    minimum_ = -std::numeric_limits<double>::infinity();
-    maximum_ = std::numeric_limits<double>::infinity();
-  }
-}
-
-std::uint64_t Field::raw(const Frame& frame) const noexcept {
-  const std::uint64_t word = little_endian_word(frame);
-  return ((motorola_ ? __builtin_bswap64(word) : word) >> shift_) & mask_;
-}
-
-void Field::set_raw(Frame& frame, std::uint64_t raw) const noexcept {
-  std::uint64_t word = little_endian_word(frame);
-  if (motorola_) word = __builtin_bswap64(word);
-  word = (word & ~(mask_ << shift_)) | ((raw & mask_) << shift_);
-  if (motorola_) word = __builtin_bswap64(word);
-  std::memcpy(frame.data.data(), &word, sizeof word);
-}
-
-double Field::decode(const Frame& frame) const noexcept {
-  const std::uint64_t bits = raw(frame);
-  double value = 0.0;
-  switch (type_) {
-    case ValueType::Unsigned:
-      value = static_cast<double>(bits);
-      break;
-    case ValueType::Signed:
-      value = static_cast<double>(static_cast<std::int64_t>(bits << (64 - bits_)) >> (64 - bits_));
-      break;
-    case ValueType::Float32:
-      value = std::bit_cast<float>(static_cast<std::uint32_t>(bits));
-      break;
-    case ValueType::Float64:
-      value = std::bit_cast<double>(bits);
-      break;
-  }
-  return value * scale_ + offset_;
-}
-
-void Field::encode(Frame& frame, double value) const noexcept {
-  if (std::isnan(value)) {
-    set_raw(frame, 0);
-    return;
-  }
-  const double scaled = (std::clamp(value, minimum_, maximum_) - offset_) / scale_;
-  switch (type_) {
-    case ValueType::Unsigned: {
-      // 2^64 is not a uint64: saturate in floating point before the conversion.
-      const double rounded = std::round(scaled);
-      set_raw(frame, rounded <= 0.0                          ? 0
-                     : rounded >= static_cast<double>(mask_) ? mask_
-                                                             : static_cast<std::uint64_t>(rounded));
-      return;
-    }
-    case ValueType::Signed: {
-      const double largest = static_cast<double>(mask_ >> 1U);
-      const double rounded = std::round(scaled);
-      const std::uint64_t top = mask_ >> 1U;
-      set_raw(frame, rounded >= largest ? top
-                     : rounded <= -largest - 1.0
-                         ? ~top
-                         : static_cast<std::uint64_t>(static_cast<std::int64_t>(rounded)));
-      return;
-    }
-    case ValueType::Float32:
-      set_raw(frame, std::bit_cast<std::uint32_t>(static_cast<float>(scaled)));
-      return;
-    case ValueType::Float64:
-      set_raw(frame, std::bit_cast<std::uint64_t>(scaled));
-      return;
-  }
-}
-
-bool Field::plausible(double value) const noexcept {
-  // Half a step of room: the ends of the range are raw values, and scaling them rounds.
-  const double slack = 0.5 * std::abs(scale_);
-  return std::isfinite(value) && value >= minimum_ - slack && value <= maximum_ + slack;
-}
-
-std::uint8_t e2e_crc(std::uint16_t data_id, const Frame& frame, std::size_t crc_byte) noexcept {
-  boost::crc_optimal<8, 0x1D, 0xFF, 0xFF, false, false> crc;
-  crc.process_byte(static_cast<unsigned char>(data_id & 0xFFU));
-  crc.process_byte(static_cast<unsigned char>(data_id >> 8U));
-  for (std::size_t i = 0; i < frame.size; ++i) {
-    if (i != crc_byte) crc.process_byte(frame.data[i]);
-  }
-  return static_cast<std::uint8_t>(crc.checksum());
-}
-
 Frame FrameLayout::blank() const noexcept {
-  return Frame{id, size, {}};
+  return Frame{id, size, {}, format};
 }
 
-void FrameLayout::protect(Frame& frame, std::uint8_t alive_counter) const noexcept {
-  counter.set_raw(frame, alive_counter);
-  frame.data[crc_byte] = e2e_crc(data_id, frame, crc_byte);
-}
-
-bool FrameLayout::crc_matches(const Frame& frame) const noexcept {
-  return frame.size == size && frame.data[crc_byte] == e2e_crc(data_id, frame, crc_byte);
-}
-
-std::uint8_t FrameLayout::counter_of(const Frame& frame) const noexcept {
-  return static_cast<std::uint8_t>(counter.raw(frame));
+bool FrameLayout::intact(const Frame& frame) const noexcept {
+  const bool classic = format == FrameFormat::Classic;
+  return frame.size == size && (frame.format == FrameFormat::Classic) == classic && protection.matches(frame);
 }
 
 namespace {
@@ -264,9 +125,6 @@ class CodecBuilder {
                                      .and_then([&] { return add_feedback(); })
                                      .and_then([&] { return add_clock_tick(); });
     if (!outcome) return failure(outcome.error().message);
-    // Builds the CRC's table now rather than in the first tick.
-    Frame warm_up = codec_.command.blank();
-    codec_.command.protect(warm_up, 0);
     return codec_;
   }
 
@@ -278,7 +136,7 @@ class CodecBuilder {
     if (!place) return failure(place.error().message);
     const auto factor = si_factor(database_, what, name, place->signal->unit, units);
     if (!factor) return failure(factor.error().message);
-    if (place->message->size_bytes <= 8) field = Field{*place->signal, *factor};
+    field = Field{*place->signal, *factor};
     return place->message;
   }
 
@@ -392,14 +250,23 @@ std::vector<std::uint32_t> ProtocolCodec::feedback_ids() const {
   return ids;
 }
 
-int ProtocolCodec::bits_per_period() const {
-  int bits = worst_case_bits(command.id, command.size);
-  for (std::size_t i = 0; i < feedback_frames; ++i) bits += worst_case_bits(feedback[i].id, feedback[i].size);
+bool ProtocolCodec::needs_flexible_data_rate() const {
+  bool fd = command.format != FrameFormat::Classic;
+  for (std::size_t i = 0; i < feedback_frames; ++i) fd = fd || feedback[i].format != FrameFormat::Classic;
+  return fd;
+}
+
+int ProtocolCodec::bits_per_period(double data_speedup) const {
+  const auto bits_of = [&](const FrameLayout& frame) {
+    return worst_case_bits(frame.id, frame.size, frame.format, data_speedup);
+  };
+  int bits = bits_of(command);
+  for (std::size_t i = 0; i < feedback_frames; ++i) bits += bits_of(feedback[i]);
   return bits;
 }
 
-double bus_load(const ProtocolCodec& codec, double bitrate_bit_s) {
-  return codec.bits_per_period() / kPeriod_s / bitrate_bit_s;
+double bus_load(const ProtocolCodec& codec, double bitrate_bit_s, double data_speedup) {
+  return codec.bits_per_period(data_speedup) / kPeriod_s / bitrate_bit_s;
 }
 
 }  // namespace clampd::can

@@ -7,7 +7,8 @@
 
 namespace clampd::can {
 
-EmbeddedBus::EmbeddedBus(double bitrate_bit_s) : bit_ns_{1e9 / bitrate_bit_s} {
+EmbeddedBus::EmbeddedBus(double bitrate_bit_s, const BusFormat& format)
+    : bit_ns_{1e9 / bitrate_bit_s}, format_{format} {
   CLAMPD_ASSERT(bitrate_bit_s > 0.0);
   for (std::size_t i = 0; i < ends_.size(); ++i) {
     ends_[i].bus_ = this;
@@ -40,7 +41,7 @@ std::size_t EmbeddedBus::Port::receive(std::span<TimedFrame> out, std::int64_t n
   while (taken < out.size() && queued_ > 0 && queue_[head_].arrival_ns <= now_ns) {
     out[taken++] = queue_[head_];
     health_.bus_bits +=
-        static_cast<std::uint64_t>(worst_case_bits(queue_[head_].frame.id, queue_[head_].frame.size));
+        static_cast<std::uint64_t>(worst_case_bits(queue_[head_].frame, bus_->format_));
     ++health_.frames_received;
     head_ = (head_ + 1) % queue_.size();
     --queued_;
@@ -49,11 +50,12 @@ std::size_t EmbeddedBus::Port::receive(std::span<TimedFrame> out, std::int64_t n
 }
 
 bool EmbeddedBus::Port::send(const Frame& frame, std::int64_t now_ns) noexcept {
-  if (health_.link != LinkState::Up && health_.link != LinkState::ErrorPassive) {
+  const bool carried = frame.format == FrameFormat::Classic || bus_->format_.flexible_data_rate;
+  if (!carried || (health_.link != LinkState::Up && health_.link != LinkState::ErrorPassive)) {
     ++health_.send_failures;
     return false;
   }
-  const int bits = worst_case_bits(frame.id, frame.size);
+  const int bits = worst_case_bits(frame, bus_->format_);
   const std::int64_t start_ns = std::max(now_ns, bus_->wire_free_ns_);
   bus_->wire_free_ns_ = start_ns + std::llround(bits * bus_->bit_ns_);
   ++health_.frames_sent;

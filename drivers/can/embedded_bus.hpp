@@ -15,7 +15,7 @@ class EmbeddedBus {
  public:
   enum class End : std::uint8_t { Station, Brake };
 
-  explicit EmbeddedBus(double bitrate_bit_s = 1e6);
+  explicit EmbeddedBus(double bitrate_bit_s = 1e6, const BusFormat& format = {});
   EmbeddedBus(const EmbeddedBus&) = delete;
   EmbeddedBus& operator=(const EmbeddedBus&) = delete;
 
@@ -54,6 +54,7 @@ class EmbeddedBus {
   };
 
   double bit_ns_;
+  BusFormat format_;
   std::int64_t wire_free_ns_ = 0;
   std::array<Port, 2> ends_;
 };

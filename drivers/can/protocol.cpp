@@ -10,13 +10,28 @@
 namespace clampd::can {
 namespace {
 
-constexpr std::uint8_t kCounterMask = 0xF;
+/// Samples that a jump counts for where counter and clock contradict each other, at most.
+constexpr std::uint64_t kLargestJump = 16;
+
+/// From one value of a counter of `values` to the next; 0 without a counter.
+std::uint64_t steps(std::uint32_t from, std::uint32_t to, std::uint64_t values) noexcept {
+  return values == 0 ? 0 : (to + values - from) % values;
+}
+
+std::uint32_t next_count(std::uint32_t counter, std::uint64_t values) noexcept {
+  return values == 0 ? 0 : static_cast<std::uint32_t>((counter + 1ULL) % values);
+}
 
 }  // namespace
 
-AliveVerdict AliveCheck::judge(std::uint8_t counter, std::int64_t arrival_ns) noexcept {
-  const unsigned ahead = (counter - last_) & kCounterMask;
-  const bool silent = arrival_ns - last_arrival_ns_ > kSilence_ns;
+AliveCheck::AliveCheck(std::uint64_t values)
+    : values_{values}, silence_ns_{static_cast<std::int64_t>(values / 2) * kPeriod_ns} {
+  CLAMPD_ASSERT(values >= 4);
+}
+
+AliveVerdict AliveCheck::judge(std::uint32_t counter, std::int64_t arrival_ns) noexcept {
+  const std::uint64_t ahead = steps(last_, counter, values_);
+  const bool silent = arrival_ns - last_arrival_ns_ > silence_ns_;
   const bool first = !started_ || silent;
   // Also a refused frame moves the reference: a brake that restarted is followed again from its second frame
   // on, and a frozen one, whose frames keep coming, never turns into a silence.
@@ -25,7 +40,12 @@ AliveVerdict AliveCheck::judge(std::uint8_t counter, std::int64_t arrival_ns) no
   last_arrival_ns_ = arrival_ns;
   if (first || ahead == 1) return AliveVerdict::Next;
   if (ahead == 0) return AliveVerdict::Repeated;
-  return ahead <= 8 ? AliveVerdict::Skipped : AliveVerdict::Backward;
+  return ahead <= values_ / 2 ? AliveVerdict::Skipped : AliveVerdict::Backward;
+}
+
+StationProtocol::StationProtocol(const ProtocolCodec& codec)
+    : codec_{codec}, counter_values_{codec.feedback[0].protection.counter_values()} {
+  if (counter_values_ > 0) alive_.fill(AliveCheck(counter_values_));
 }
 
 Frame StationProtocol::command(const TorqueCommand& command) noexcept {
@@ -33,8 +53,9 @@ Frame StationProtocol::command(const TorqueCommand& command) noexcept {
   Frame frame = codec_.command.blank();
   codec_.torque_command.encode(frame, valid && command.enable ? command.torque_Nm : 0.0);
   codec_.enable.set_raw(frame, valid && command.enable ? 1 : 0);
-  codec_.command.protect(frame, command_counter_);
-  command_counter_ = (command_counter_ + 1) & kCounterMask;
+  const FrameProtection& protection = codec_.command.protection;
+  protection.protect(frame, command_counter_);
+  command_counter_ = next_count(command_counter_, protection.counter_values());
   return frame;
 }
 
@@ -51,23 +72,31 @@ std::optional<BrakeFeedback> StationProtocol::accept(const Frame& frame, std::in
   while (index < codec_.feedback_frames && codec_.feedback[index].id != frame.id) ++index;
   if (index == codec_.feedback_frames) return std::nullopt;
   const FrameLayout& layout = codec_.feedback[index];
-  if (!layout.crc_matches(frame)) {
+  if (!layout.intact(frame)) {
     ++counts_.crc_errors;
     return std::nullopt;
   }
-  const std::uint8_t counter = layout.counter_of(frame);
-  const AliveVerdict verdict = alive_[index].judge(counter, arrival_ns);
-  if (verdict == AliveVerdict::Repeated || verdict == AliveVerdict::Backward) {
-    ++counts_.counter_errors;
-    return std::nullopt;
+  std::uint32_t counter = 0;
+  if (counter_values_ > 0) {
+    counter = layout.protection.counter_of(frame);
+    const AliveVerdict verdict = alive_[index].judge(counter, arrival_ns);
+    if (verdict == AliveVerdict::Repeated || verdict == AliveVerdict::Backward) {
+      ++counts_.counter_errors;
+      return std::nullopt;
+    }
   }
   if (!plausible(index, frame)) {
     ++counts_.implausible;
     return std::nullopt;
   }
-  if (received_parts_ == 0 || parts_counter_ != counter) {
+  // Without a counter, the frames of one sample are told by their arrival: one of each, close together.
+  const bool same_sample = counter_values_ > 0 ? parts_counter_ == counter
+                                               : (received_parts_ & (1U << index)) == 0 &&
+                                                     arrival_ns - parts_arrival_ns_ <= kPeriod_ns / 2;
+  if (received_parts_ == 0 || !same_sample) {
     received_parts_ = 0;
     parts_counter_ = counter;
+    parts_arrival_ns_ = arrival_ns;
   }
   parts_[index] = frame;
   received_parts_ |= 1U << index;
@@ -83,7 +112,7 @@ std::optional<BrakeFeedback> StationProtocol::complete(std::int64_t arrival_ns) 
   const FeedbackField& clock_field = codec_.sample_clock;
   const std::uint64_t clock = clock_field.field.raw(parts_[clock_field.frame]);
   const std::uint64_t previous_clock = std::exchange(last_clock_, clock);
-  const std::uint8_t previous_counter = std::exchange(last_counter_, parts_counter_);
+  const std::uint32_t previous_counter = std::exchange(last_counter_, parts_counter_);
   if (!synchronised_) {
     synchronised_ = true;
     brake_time_ns_ = static_cast<std::int64_t>(clock) * codec_.clock_tick_ns;
@@ -92,15 +121,18 @@ std::optional<BrakeFeedback> StationProtocol::complete(std::int64_t arrival_ns) 
         static_cast<std::int64_t>((clock - previous_clock) & clock_field.field.largest_raw());
     const std::int64_t elapsed_ns = elapsed_ticks * codec_.clock_tick_ns;
     const std::int64_t samples = (elapsed_ns + kPeriod_ns / 2) / kPeriod_ns;
-    const std::int64_t counted = (parts_counter_ - previous_counter) & kCounterMask;
+    const std::uint64_t counted = steps(previous_counter, parts_counter_, counter_values_);
     // Clock and counter must tell the same story: the clock resolves whole turns of the counter, the counter
     // catches a clock that stands still or jumps.
-    const bool consistent = samples >= 1 && (samples & kCounterMask) == counted &&
-                            std::abs(elapsed_ns - samples * kPeriod_ns) <= kPeriod_ns / 5;
+    const bool consistent =
+        samples >= 1 &&
+        (counter_values_ == 0 || static_cast<std::uint64_t>(samples) % counter_values_ == counted) &&
+        std::abs(elapsed_ns - samples * kPeriod_ns) <= kPeriod_ns / 5;
     if (!consistent) {
       // Index and time stay monotonic by what the counter says; the sample itself is refused.
       ++counts_.counter_errors;
-      const std::int64_t advance = counted == 0 ? 16 : counted;
+      const bool told = counted > 0 && counted <= kLargestJump;
+      const auto advance = static_cast<std::int64_t>(told ? counted : kLargestJump);
       sample_index_ += advance;
       brake_time_ns_ += advance * kPeriod_ns;
       counts_.lost_samples += static_cast<std::uint64_t>(advance);
@@ -125,16 +157,24 @@ std::optional<BrakeFeedback> StationProtocol::complete(std::int64_t arrival_ns) 
   return feedback;
 }
 
+BrakeProtocol::BrakeProtocol(const ProtocolCodec& codec) : codec_{codec} {
+  const std::uint64_t values = codec.command.protection.counter_values();
+  if (values > 0) alive_ = AliveCheck(values);
+}
+
 std::optional<TorqueCommand> BrakeProtocol::accept(const Frame& frame, std::int64_t arrival_ns) noexcept {
   if (frame.id != codec_.command.id) return std::nullopt;
-  if (!codec_.command.crc_matches(frame)) {
+  const FrameProtection& protection = codec_.command.protection;
+  if (!codec_.command.intact(frame)) {
     ++counts_.crc_errors;
     return std::nullopt;
   }
-  const AliveVerdict verdict = alive_.judge(codec_.command.counter_of(frame), arrival_ns);
-  if (verdict == AliveVerdict::Repeated || verdict == AliveVerdict::Backward) {
-    ++counts_.counter_errors;
-    return std::nullopt;
+  if (protection.has_counter()) {
+    const AliveVerdict verdict = alive_.judge(protection.counter_of(frame), arrival_ns);
+    if (verdict == AliveVerdict::Repeated || verdict == AliveVerdict::Backward) {
+      ++counts_.counter_errors;
+      return std::nullopt;
+    }
   }
   TorqueCommand command;
   command.torque_Nm = codec_.torque_command.decode(frame);
@@ -149,7 +189,8 @@ std::optional<TorqueCommand> BrakeProtocol::accept(const Frame& frame, std::int6
 std::size_t BrakeProtocol::feedback(const BrakeFeedback& reading, std::span<Frame> out,
                                     WireFault fault) noexcept {
   CLAMPD_ASSERT(out.size() >= codec_.feedback_frames);
-  if (fault != WireFault::FrozenCounter) feedback_counter_ = (feedback_counter_ + 1) & kCounterMask;
+  if (fault != WireFault::FrozenCounter)
+    feedback_counter_ = next_count(feedback_counter_, codec_.feedback[0].protection.counter_values());
   if (fault == WireFault::Silent) return 0;
   for (std::size_t i = 0; i < codec_.feedback_frames; ++i) out[i] = codec_.feedback[i].blank();
   const auto put = [&](const FeedbackField& part, double value) {
@@ -171,8 +212,8 @@ std::size_t BrakeProtocol::feedback(const BrakeFeedback& reading, std::span<Fram
     codec_.velocity.field.set_raw(out[codec_.velocity.frame], codec_.velocity.field.largest_raw() / 2);
   }
   for (std::size_t i = 0; i < codec_.feedback_frames; ++i) {
-    codec_.feedback[i].protect(out[i], feedback_counter_);
-    if (fault == WireFault::CorruptCrc) out[i].data[codec_.feedback[i].crc_byte] ^= 0xFFU;
+    codec_.feedback[i].protection.protect(out[i], feedback_counter_);
+    if (fault == WireFault::CorruptCrc) codec_.feedback[i].protection.spoil(out[i]);
   }
   return codec_.feedback_frames;
 }

@@ -9,6 +9,7 @@
 #include <optional>
 #include <span>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/ports/brake_port.hpp"
 #include "drivers/can/codec.hpp"
@@ -24,22 +25,26 @@ enum class AliveVerdict : std::uint8_t {
   Backward,  ///< more than half of the counter's turn ahead: an old frame
 };
 
-/// Judges the 4-bit alive counter of one frame identifier. Only frames with a correct CRC may come here.
+/// Judges the alive counter of one frame identifier. Only intact frames may come here. Longer silence than half
+/// a turn of the counter makes it ambiguous: any value is then accepted as a new start.
 class AliveCheck {
  public:
-  /// Longer silence than this makes the counter ambiguous: any value is then accepted as a new start.
-  static constexpr std::int64_t kSilence_ns = 8'000'000;
+  AliveCheck() = default;
+  /// `values`: how many the counter has, at least 4.
+  explicit AliveCheck(std::uint64_t values);
 
-  CLAMPD_REALTIME AliveVerdict judge(std::uint8_t counter, std::int64_t arrival_ns) noexcept;
+  CLAMPD_REALTIME AliveVerdict judge(std::uint32_t counter, std::int64_t arrival_ns) noexcept;
 
  private:
+  std::uint64_t values_ = 16;
+  std::int64_t silence_ns_ = 8 * kPeriod_ns;
   bool started_ = false;
-  std::uint8_t last_ = 0;
+  std::uint32_t last_ = 0;
   std::int64_t last_arrival_ns_ = 0;
 };
 
 struct ProtocolCounts {
-  std::uint64_t crc_errors = 0;      ///< frames refused: wrong CRC or size
+  std::uint64_t crc_errors = 0;      ///< frames refused: wrong checksum, size or format
   std::uint64_t counter_errors = 0;  ///< frames or samples refused: counter or sample clock repeats or jumps
   std::uint64_t lost_samples =
       0;  ///< samples the brake took and the station never completed (station's end only)
@@ -49,13 +54,13 @@ struct ProtocolCounts {
 /// The station's end: commands out, samples in.
 class StationProtocol {
  public:
-  explicit StationProtocol(const ProtocolCodec& codec) : codec_{codec} {}
+  explicit StationProtocol(const ProtocolCodec& codec);
 
   /// The next command frame. A torque that is not finite goes out as a disabled zero torque.
   CLAMPD_REALTIME Frame command(const TorqueCommand& command) noexcept;
 
-  /// Takes one received frame. When it completes a sample (all feedback frames with one counter value), that
-  /// sample: `sample_index` counts from 0 and follows counter and sample clock, `brake_time_ns` is the
+  /// Takes one received frame. When it completes a sample (all feedback frames with one counter value; without a
+  /// counter, within half a period of the first), that sample: `sample_index` counts from 0 and follows counter and sample clock, `brake_time_ns` is the
   /// unwrapped sample clock, `arrival_time_ns` that of the completing frame. Frames of other identifiers are
   /// ignored.
   CLAMPD_REALTIME std::optional<BrakeFeedback> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
@@ -67,17 +72,19 @@ class StationProtocol {
   std::optional<BrakeFeedback> complete(std::int64_t arrival_ns) noexcept;
 
   ProtocolCodec codec_;
+  std::uint64_t counter_values_ = 0;  ///< of the feedback; 0: its frames carry no counter
   ProtocolCounts counts_;
-  std::uint8_t command_counter_ = 0;
+  std::uint32_t command_counter_ = 0;
   std::array<AliveCheck, kMaxFeedbackFrames> alive_;
 
   std::array<Frame, kMaxFeedbackFrames> parts_;
   unsigned received_parts_ = 0;  ///< bit i: parts_[i] belongs to the sample of parts_counter_
-  std::uint8_t parts_counter_ = 0;
+  std::uint32_t parts_counter_ = 0;
+  std::int64_t parts_arrival_ns_ = 0;  ///< of the first of them
 
   bool synchronised_ = false;
   std::uint64_t last_clock_ = 0;
-  std::uint8_t last_counter_ = 0;
+  std::uint32_t last_counter_ = 0;
   std::int64_t sample_index_ = 0;
   std::int64_t brake_time_ns_ = 0;
 };
@@ -88,7 +95,7 @@ enum class WireFault : std::uint8_t { None, CorruptCrc, FrozenCounter, Impossibl
 /// The brake's end: commands in, samples out.
 class BrakeProtocol {
  public:
-  explicit BrakeProtocol(const ProtocolCodec& codec) : codec_{codec} {}
+  explicit BrakeProtocol(const ProtocolCodec& codec);
 
   /// Takes one received frame; the command in it, if it is one and passes CRC, counter and range.
   CLAMPD_REALTIME std::optional<TorqueCommand> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
@@ -104,7 +111,7 @@ class BrakeProtocol {
   ProtocolCodec codec_;
   ProtocolCounts counts_;
   AliveCheck alive_;
-  std::uint8_t feedback_counter_ = 0;
+  std::uint32_t feedback_counter_ = 0;
 };
 
 }  // namespace clampd::can

@@ -67,11 +67,18 @@ std::string no_can(int error) {
       reason(error));
 }
 
-Result<int> open_socket(const std::string& interface, const std::vector<std::uint32_t>& wanted_ids) {
+Result<int> open_socket(const std::string& interface, const std::vector<std::uint32_t>& wanted_ids,
+                        const BusFormat& format) {
   Descriptor socket{open_raw_socket()};
   if (socket.get() < 0) return failure(no_can(errno));
   const auto info = inspect_interface(interface);
   if (!info) return failure(info.error().message);
+
+  if (format.flexible_data_rate && !info->flexible_data_rate)
+    return failure(fmt::format(
+        "CAN interface {} is not set up for CAN FD, which the brake's frames need: 'ip link set {} down', then "
+        "'ip link set {} up type can bitrate ... dbitrate ... fd on' (a vcan: 'ip link set {} mtu {}')",
+        interface, interface, interface, interface, CANFD_MTU));
 
   const auto fail = [&](std::string_view what) {
     return failure(fmt::format("CAN interface {}: {} failed: {}", interface, what, reason(errno)));
@@ -84,6 +91,11 @@ Result<int> open_socket(const std::string& interface, const std::vector<std::uin
   if (::setsockopt(socket.get(), SOL_CAN_RAW, CAN_RAW_FILTER, filters.data(),
                    static_cast<socklen_t>(filters.size() * sizeof(can_filter))) != 0) {
     return fail("setting the identifier filters");
+  }
+  const int flexible_data_rate = format.flexible_data_rate ? 1 : 0;
+  if (::setsockopt(socket.get(), SOL_CAN_RAW, CAN_RAW_FD_FRAMES, &flexible_data_rate,
+                   sizeof flexible_data_rate) != 0) {
+    return fail("asking for CAN FD frames");
   }
   const can_err_mask_t errors = CAN_ERR_MASK;
   if (::setsockopt(socket.get(), SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &errors, sizeof errors) != 0) {
@@ -139,6 +151,7 @@ void read_link_info(std::span<const std::uint8_t> link_info, InterfaceInfo& info
     } else if (type == IFLA_INFO_DATA) {
       for_each_attribute(payload, [&](int data_type, std::span<const std::uint8_t> data) {
         if (data_type == IFLA_CAN_BITTIMING) info.bitrate = read_as<can_bittiming>(data).bitrate;
+        if (data_type == IFLA_CAN_DATA_BITTIMING) info.data_bitrate = read_as<can_bittiming>(data).bitrate;
         if (data_type == IFLA_CAN_RESTART_MS) info.restart_ms = read_as<std::uint32_t>(data);
         if (data_type == IFLA_CAN_STATE) info.controller_state = state_name(read_as<std::uint32_t>(data));
       });
@@ -191,6 +204,7 @@ Result<InterfaceInfo> inspect_interface(const std::string& name) {
   for_each_attribute(message.subspan(NLMSG_HDRLEN + NLMSG_ALIGN(sizeof body)),
                      [&](int type, std::span<const std::uint8_t> payload) {
                        if (type == IFLA_LINKINFO) read_link_info(payload, info);
+                       if (type == IFLA_MTU) info.flexible_data_rate = read_as<std::uint32_t>(payload) >= CANFD_MTU;
                        if (type == IFLA_TXQLEN) info.transmit_queue = read_as<std::uint32_t>(payload);
                      });
   std::error_code ignored;
@@ -226,23 +240,29 @@ void apply_error_frame(const can_frame& frame, BusHealth& health) noexcept {
   }
 }
 
-SocketCanBus::SocketCanBus(std::string interface, std::vector<std::uint32_t> wanted_ids, int descriptor)
-    : interface_{std::move(interface)}, wanted_ids_{std::move(wanted_ids)}, descriptor_{descriptor} {}
+SocketCanBus::SocketCanBus(std::string interface, std::vector<std::uint32_t> wanted_ids,
+                           const BusFormat& format, int descriptor)
+    : interface_{std::move(interface)},
+      wanted_ids_{std::move(wanted_ids)},
+      format_{format},
+      descriptor_{descriptor} {}
 
 SocketCanBus::~SocketCanBus() {
   ::close(descriptor_);
 }
 
 Result<std::unique_ptr<SocketCanBus>> SocketCanBus::open(const std::string& interface,
-                                                         std::vector<std::uint32_t> wanted_ids) {
-  const auto descriptor = open_socket(interface, wanted_ids);
+                                                         std::vector<std::uint32_t> wanted_ids,
+                                                         const BusFormat& format) {
+  const auto descriptor = open_socket(interface, wanted_ids, format);
   if (!descriptor) return failure(descriptor.error().message);
-  return std::unique_ptr<SocketCanBus>{new SocketCanBus{interface, std::move(wanted_ids), *descriptor}};
+  return std::unique_ptr<SocketCanBus>{
+      new SocketCanBus{interface, std::move(wanted_ids), format, *descriptor}};
 }
 
 Result<void> SocketCanBus::reopen() {
   if (link() != LinkState::Gone) return {};
-  const auto fresh = open_socket(interface_, wanted_ids_);
+  const auto fresh = open_socket(interface_, wanted_ids_, format_);
   if (!fresh) return failure(fresh.error().message);
   const Descriptor owner{*fresh};
   // The loop goes on with the same number; the kernel swaps the socket behind it in one step.
@@ -275,7 +295,7 @@ std::size_t SocketCanBus::receive(std::span<TimedFrame> out, std::int64_t now_ns
   // Errors (interface down, gone) are each reported once; the bound only keeps a kernel's whim from holding
   // the tick.
   for (int attempts = 0; taken < out.size() && attempts < 256; ++attempts) {
-    can_frame received{};
+    canfd_frame received{};
     iovec part{&received, sizeof received};
     alignas(cmsghdr) std::array<char, 128> control{};
     msghdr message{};
@@ -291,7 +311,7 @@ std::size_t SocketCanBus::receive(std::span<TimedFrame> out, std::int64_t now_ns
       if (health_.link == LinkState::Gone) break;
       continue;
     }
-    if (size != sizeof received) continue;
+    if (size != CAN_MTU && size != CANFD_MTU) continue;
 
     std::int64_t arrival_ns = now_ns;
     for (cmsghdr* part_header = CMSG_FIRSTHDR(&message); part_header != nullptr;
@@ -318,17 +338,23 @@ std::size_t SocketCanBus::receive(std::span<TimedFrame> out, std::int64_t now_ns
     }
 
     if ((received.can_id & CAN_ERR_FLAG) != 0) {
-      apply_error_frame(received, health_);
+      can_frame error_frame{};
+      std::memcpy(&error_frame, &received, sizeof error_frame);
+      apply_error_frame(error_frame, health_);
       continue;
     }
     if ((received.can_id & CAN_RTR_FLAG) != 0) continue;
     TimedFrame& frame = out[taken++];
     frame.frame.id = received.can_id;
-    frame.frame.size = std::min<std::uint8_t>(received.can_dlc, 8);
-    std::memcpy(frame.frame.data.data(), received.data, frame.frame.data.size());
+    const bool fd = size == CANFD_MTU;
+    const bool fast = fd && (received.flags & CANFD_BRS) != 0;
+    frame.frame.format = fast ? FrameFormat::FdFastData : fd ? FrameFormat::Fd : FrameFormat::Classic;
+    frame.frame.size = std::min<std::uint8_t>(received.len, fd ? CANFD_MAX_DLEN : CAN_MAX_DLEN);
+    frame.frame.data.fill(0);
+    std::memcpy(frame.frame.data.data(), received.data, frame.frame.size);
     frame.arrival_ns = arrival_ns;
     ++health_.frames_received;
-    health_.bus_bits += static_cast<std::uint64_t>(worst_case_bits(frame.frame.id, frame.frame.size));
+    health_.bus_bits += static_cast<std::uint64_t>(worst_case_bits(frame.frame, format_));
     // A frame from the bus proves that we are on it.
     if (health_.link != LinkState::ErrorPassive) health_.link = LinkState::Up;
   }
@@ -338,15 +364,18 @@ std::size_t SocketCanBus::receive(std::span<TimedFrame> out, std::int64_t now_ns
 
 bool SocketCanBus::send(const Frame& frame, std::int64_t /*now_ns*/) noexcept {
   note_reopened();
-  can_frame outgoing{};
+  const bool fd = frame.format != FrameFormat::Classic;
+  canfd_frame outgoing{};  // begins as a can_frame does
   outgoing.can_id = frame.id;
-  outgoing.can_dlc = frame.size;
-  std::memcpy(outgoing.data, frame.data.data(), frame.data.size());
-  const bool sent =
-      ::send(descriptor_, &outgoing, sizeof outgoing, MSG_DONTWAIT | MSG_NOSIGNAL) == sizeof outgoing;
+  outgoing.len = frame.size;
+  if (frame.format == FrameFormat::FdFastData) outgoing.flags = CANFD_BRS;
+  std::memcpy(outgoing.data, frame.data.data(), frame.size);
+  const std::size_t bytes = fd ? CANFD_MTU : CAN_MTU;
+  const bool sent = ::send(descriptor_, &outgoing, bytes, MSG_DONTWAIT | MSG_NOSIGNAL) ==
+                    static_cast<ssize_t>(bytes);
   if (sent) {
     ++health_.frames_sent;
-    health_.bus_bits += static_cast<std::uint64_t>(worst_case_bits(frame.id, frame.size));
+    health_.bus_bits += static_cast<std::uint64_t>(worst_case_bits(frame, format_));
     // The kernel took it: the interface is up. A controller in bus-off takes frames, too, so that stays.
     if (health_.link == LinkState::Down || health_.link == LinkState::Gone) health_.link = LinkState::Up;
   } else {

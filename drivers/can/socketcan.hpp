@@ -25,6 +25,8 @@ struct InterfaceInfo {
   std::uint32_t restart_ms = 0;      ///< automatic restart after bus-off; 0: never
   std::string controller_state;      ///< "error-active", ..., "bus-off", "stopped"; empty for virtual ones
   std::uint32_t transmit_queue = 0;  ///< frames
+  std::uint32_t data_bitrate = 0;    ///< bit/s of the data of CAN FD frames; 0 where there is none
+  bool flexible_data_rate = false;   ///< set up for CAN FD
 };
 
 /// Asks the kernel (rtnetlink, sysfs). Errors: no such interface, not a CAN interface; both say what to do.
@@ -48,8 +50,10 @@ CLAMPD_REALTIME void apply_error_frame(const can_frame& frame, BusHealth& health
 class SocketCanBus final : public FrameBus {
  public:
   /// Only data frames with these identifiers (kExtendedId set for 29 bits) and error frames will be received.
+  /// Errors: no such interface, one that is not set up for CAN FD where `format` wants it, a kernel without CAN.
   static Result<std::unique_ptr<SocketCanBus>> open(const std::string& interface,
-                                                    std::vector<std::uint32_t> wanted_ids);
+                                                    std::vector<std::uint32_t> wanted_ids,
+                                                    const BusFormat& format = {});
   ~SocketCanBus() override;
 
   CLAMPD_REALTIME std::size_t receive(std::span<TimedFrame> out, std::int64_t now_ns) noexcept override;
@@ -64,12 +68,14 @@ class SocketCanBus final : public FrameBus {
   Result<void> reopen();
 
  private:
-  SocketCanBus(std::string interface, std::vector<std::uint32_t> wanted_ids, int descriptor);
+  SocketCanBus(std::string interface, std::vector<std::uint32_t> wanted_ids, const BusFormat& format,
+               int descriptor);
   void note_error(int error) noexcept;
   void note_reopened() noexcept;
 
   const std::string interface_;
   const std::vector<std::uint32_t> wanted_ids_;
+  const BusFormat format_;
   const int descriptor_;
   BusHealth health_;  ///< its link is the loop's copy of link_
   std::uint32_t kernel_drops_ = 0;

@@ -1,5 +1,6 @@
 #include "clampd/bench/prepared_station.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <filesystem>
@@ -7,6 +8,7 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "clampd/base/clock.hpp"
 #include "clampd/bench/builtin.hpp"
@@ -38,12 +40,35 @@ constexpr std::array kMappingRoles{
     MappingRole{"enabled", &can::ProtocolMapping::enabled, false},
     MappingRole{"watchdog", &can::ProtocolMapping::watchdog, false},
     MappingRole{"fault", &can::ProtocolMapping::fault, false},
-    MappingRole{"counter", &can::ProtocolMapping::counter},
-    MappingRole{"crc", &can::ProtocolMapping::crc},
+    MappingRole{"counter", &can::ProtocolMapping::counter, false},
+    MappingRole{"crc", &can::ProtocolMapping::crc, false},
 };
+
+Result<can::ProtectionDescription> protection(const StationConfiguration& configuration) {
+  const CanProtection& configured = configuration.can.protection;
+  const auto found = std::find(can::kChecksumNames.begin(), can::kChecksumNames.end(), configured.checksum);
+  if (found == can::kChecksumNames.end())
+    return failure(fmt::format("{}: [can.protection] checksum is \"{}\"; there are {}", configuration.file,
+                               configured.checksum, fmt::join(can::kChecksumNames, ", ")));
+  can::ProtectionDescription description;
+  description.checksum = static_cast<can::Checksum>(found - can::kChecksumNames.begin());
+  description.crc = {configured.width_bits,
+                     configured.polynomial,
+                     configured.start,
+                     configured.final_xor,
+                     configured.reflected,
+                     configured.data_id == "before"  ? can::DataIdPlace::Before
+                     : configured.data_id == "after" ? can::DataIdPlace::After
+                                                     : can::DataIdPlace::None};
+  return description;
+}
 
 Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& configuration) {
   can::ProtocolMapping mapping;
+  const Result<can::ProtectionDescription> described = protection(configuration);
+  if (!described) return tl::unexpected(described.error());
+  mapping.protection = *described;
+  mapping.fast_data = configuration.can.data_bitrate > 0;
   for (const auto& [role, signal] : configuration.can.mapping) {
     bool known = false;
     for (const MappingRole& candidate : kMappingRoles) {
@@ -67,6 +92,8 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
   return mapping;
 }
 
+}  // namespace
+
 Result<can::ProtocolCodec> build_codec(const StationConfiguration& configuration) {
   const Result<can::ProtocolMapping> mapping = protocol_mapping(configuration);
   if (!mapping) return tl::unexpected(mapping.error());
@@ -76,6 +103,14 @@ Result<can::ProtocolCodec> build_codec(const StationConfiguration& configuration
   if (!database) return tl::unexpected(database.error());
   return can::ProtocolCodec::build(*database, *mapping);
 }
+
+can::BusFormat bus_format(const StationConfiguration& configuration, const can::ProtocolCodec& codec) {
+  const CanSettings& bus = configuration.can;
+  return {codec.needs_flexible_data_rate(),
+          bus.data_bitrate > 0 ? static_cast<double>(bus.data_bitrate) / bus.bitrate : 1.0};
+}
+
+namespace {
 
 Result<ExtendedParameters> read_check_model(const StationConfiguration& configuration) {
   const std::string& file = configuration.check.model;

@@ -3,6 +3,8 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <limits>
+#include <charconv>
 #include <array>
 #include <cstdlib>
 #include <filesystem>
@@ -63,6 +65,51 @@ std::optional<std::string> canonical_origin(const std::string& text) {
   return std::nullopt;
 }
 
+/// A whole number up to 64 bits, decimal or, after 0x, hexadecimal; TOML's own numbers have 63.
+void read_word(TableReader& reader, const toml::table& table, std::string_view key, std::uint64_t& target) {
+  if (!reader.has(key)) return;
+  if (table[key].is_integer()) {
+    reader.integer(key, target, 0, std::numeric_limits<std::int64_t>::max());
+    return;
+  }
+  std::string text;
+  reader.text(key, text);
+  const bool hexadecimal = text.starts_with("0x") || text.starts_with("0X");
+  const char* begin = text.data() + (hexadecimal ? 2 : 0);
+  const char* end = text.data() + text.size();
+  std::uint64_t value = 0;
+  const auto [stopped, error] = std::from_chars(begin, end, value, hexadecimal ? 16 : 10);
+  if (error != std::errc{} || stopped != end)
+    reader.refuse(table.get(key)->source(),
+                  fmt::format("can.protection.{} must be a number of up to 64 bits, such as \"0x1D\"", key));
+  else
+    target = value;
+}
+
+void read_protection(TableReader& parent, const std::string& file, std::optional<Error>& error,
+                     CanProtection& protection) {
+  const toml::table* table = parent.table("protection");
+  if (table == nullptr) return;
+  TableReader reader(*table, "can.protection", file, error);
+  reader.text("checksum", protection.checksum);
+  const bool described = protection.checksum == "crc";
+  for (const std::string_view key : {"width", "polynomial", "start", "final_xor", "reflected", "data_id"})
+    if (!described && table->contains(key))
+      reader.refuse(table->get(key)->source(),
+                    fmt::format("can.protection.{} belongs to checksum = \"crc\", and checksum is \"{}\"", key,
+                                protection.checksum));
+  reader.integer("width", protection.width_bits, 8, 64);
+  if (protection.width_bits != 8 && protection.width_bits != 16 && protection.width_bits != 32 &&
+      protection.width_bits != 64)
+    reader.refuse(table->get("width")->source(), "can.protection.width must be 8, 16, 32 or 64");
+  read_word(reader, *table, "polynomial", protection.polynomial);
+  read_word(reader, *table, "start", protection.start);
+  read_word(reader, *table, "final_xor", protection.final_xor);
+  reader.boolean("reflected", protection.reflected);
+  reader.choice("data_id", protection.data_id, {"none", "before", "after"});
+  reader.finish();
+}
+
 void read_can(TableReader& reader, const toml::table& table, const std::string& file,
               const std::string& folder, std::optional<Error>& error, CanSettings& can) {
   constexpr std::size_t kMaxInterface = 15;  // IFNAMSIZ - 1
@@ -71,6 +118,11 @@ void read_can(TableReader& reader, const toml::table& table, const std::string& 
     reader.refuse(table.get("interface")->source(), "can.interface is not the name of a network interface");
   reader.path("dbc", can.dbc, folder);
   reader.integer("bitrate", can.bitrate, 10'000, 1'000'000);
+  reader.integer("data_bitrate", can.data_bitrate, 0, 8'000'000);
+  if (can.data_bitrate != 0 && can.data_bitrate < can.bitrate)
+    reader.refuse(table.get("data_bitrate")->source(),
+                  "can.data_bitrate must not be below can.bitrate; leave it out for a bus without bit-rate switch");
+  read_protection(reader, file, error, can.protection);
   const toml::table* mapping = reader.table("mapping");
   if (mapping == nullptr) return;
   TableReader roles(*mapping, "can.mapping", file, error);

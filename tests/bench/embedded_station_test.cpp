@@ -170,7 +170,7 @@ TEST(CheckConductor, ConcludesBesideItsCalls) {
 
 TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
   for (const char* role : {"torque_command", "enable", "force", "velocity", "torque", "position",
-                           "sample_clock", "counter", "crc"}) {
+                           "sample_clock"}) {
     StationConfiguration configuration;
     configuration.file = "station.toml";
     configuration.can.mapping = {{role, ""}};
@@ -180,12 +180,55 @@ TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
               std::string::npos)
         << station.error().message;
   }
-  for (const char* role : {"enabled", "watchdog", "fault"}) {
+  for (const char* role : {"enabled", "watchdog", "fault", "counter"}) {
     StationConfiguration configuration;
     configuration.can.mapping = {{role, ""}};
     const auto station = prepare_station(configuration);
     EXPECT_TRUE(station) << station.error().message;
   }
+  StationConfiguration without_crc;
+  without_crc.can.mapping = {{"crc", ""}};
+  const auto refused = prepare_station(without_crc);
+  ASSERT_FALSE(refused);
+  EXPECT_THAT(refused.error().message, HasSubstr("\"none\" if the brake's frames carry none"));
+  without_crc.can.protection.checksum = "none";
+  EXPECT_TRUE(prepare_station(without_crc));
+  without_crc.can.protection.checksum = "crc32";
+  const auto unknown = prepare_station(without_crc);
+  ASSERT_FALSE(unknown);
+  EXPECT_THAT(unknown.error().message, HasSubstr("[can.protection] checksum is \"crc32\"; there are sae-j1850, e2e-1a"));
+}
+
+// One frame of CAN FD with AUTOSAR's profile 7 in place of the two classic ones.
+TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
+  const support::TemporaryDirectory folder;
+  folder.write("fd.dbc",
+               "VERSION \"\"\nBU_: X\n"
+               "BO_ 256 Command: 24 X\n SG_ Crc : 7|64@0+ (1,0) [0|0] \"\" X\n SG_ Count : 103|32@0+ (1,0) [0|0] \"\" X\n"
+               " SG_ Torque : 160|16@1- (0.0001,0) [-3.2|3.2] \"Nm\" X\n SG_ On : 176|1@1+ (1,0) [0|1] \"\" X\n"
+               "BO_ 384 Feedback: 48 X\n SG_ Crc : 7|64@0+ (1,0) [0|0] \"\" X\n SG_ Count : 103|32@0+ (1,0) [0|0] \"\" X\n"
+               " SG_ Force : 160|16@1+ (1,-4000) [-4000|45000] \"N\" X\n SG_ Velocity : 176|32@1- (0.001,0) [-600|600] \"rad/s\" X\n"
+               " SG_ Torque : 208|16@1- (0.0001,0) [-3.2|3.2] \"Nm\" X\n SG_ Position : 224|32@1- (0.0001,0) [-500|500] \"rad\" X\n"
+               " SG_ Clock : 256|32@1+ (1,0) [0|4294967295] \"us\" X\n");
+  StationConfiguration configuration;
+  configuration.can.dbc = folder.path("fd.dbc");
+  configuration.can.data_bitrate = 4'000'000;
+  configuration.can.protection.checksum = "e2e-7";
+  configuration.can.mapping = {{"torque_command", "Command.Torque"}, {"enable", "Command.On"},
+                               {"force", "Feedback.Force"},          {"velocity", "Feedback.Velocity"},
+                               {"torque", "Feedback.Torque"},        {"position", "Feedback.Position"},
+                               {"sample_clock", "Feedback.Clock"},   {"enabled", ""},
+                               {"watchdog", ""},                     {"fault", ""},
+                               {"counter", "Count"},                 {"crc", "Crc"}};
+  auto station = prepare_station(configuration);
+  ASSERT_TRUE(station) << station.error().message;
+  EmbeddedStation bench(*std::move(station), plant(1));
+  const auto record = bench.run_check(request(3), nullptr, nullptr);
+  ASSERT_TRUE(record) << record.error().message;
+  EXPECT_EQ(record->verdict, Verdict::Pass) << record->reason;
+  EXPECT_EQ(record->timing.lost_samples, 0U);
+  EXPECT_GT(record->timing.bus_load, 0.1);
+  EXPECT_LT(record->timing.bus_load, 0.5);
 }
 
 constexpr const char* kBacklashModel = "[[effect]]\nname = \"backlash\"\nplay = 0.2\n";

@@ -64,7 +64,7 @@ Frame frame_of(const std::uint8_t* bytes) {
   std::copy_n(bytes + 2, 8, frame.data.begin());
   if (which == 3) frame.id = bytes[2] * 257U | (bytes[3] >= 128 ? kExtendedId : 0U);
   if ((bytes[0] & 4U) != 0)
-    layout.protect(frame, bytes[0] >> 4);
+    layout.protection.protect(frame, bytes[0] >> 4);
   else if ((bytes[0] & 8U) == 0)
     frame.size = bytes[0] >> 4 & 7U;
   return frame;

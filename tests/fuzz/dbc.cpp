@@ -42,8 +42,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   Frame command = codec->command.blank();
   for (const double torque_Nm : {1.5, -3.0, 1e300, std::nan("")}) {
     codec->torque_command.encode(command, torque_Nm);
-    codec->command.protect(command, 7);
-    CLAMPD_ASSERT(codec->command.crc_matches(command) && codec->command.counter_of(command) == 7);
+    codec->command.protection.protect(command, 1);
+    CLAMPD_ASSERT(codec->command.intact(command) && codec->command.protection.counter_of(command) == 1);
     CLAMPD_ASSERT(std::isfinite(codec->torque_command.decode(command)));
   }
   // A brake that speaks it, its clock about to wrap.

@@ -1,6 +1,8 @@
 #include <filesystem>
 #include <memory>
 
+#include <algorithm>
+
 #include <fmt/format.h>
 #include <unistd.h>
 #include <nlohmann/json.hpp>
@@ -27,7 +29,11 @@ struct DoctorOptions {
   bool json = false;
 };
 
-ReadinessFact examine_can(const std::string& interface, std::uint32_t bitrate) {
+ReadinessFact examine_can(const std::string& interface, const CanSettings& bus, bool flexible_data_rate) {
+  const std::uint32_t bitrate = bus.bitrate;
+  const std::string rates = flexible_data_rate
+                                ? fmt::format("{} dbitrate {} fd on", bitrate, std::max(bitrate, bus.data_bitrate))
+                                : std::to_string(bitrate);
   if (interface.empty()) {
     if (can::kernel_has_can())
       return {"CAN", ReadinessStatus::Ok,
@@ -41,18 +47,26 @@ ReadinessFact examine_can(const std::string& interface, std::uint32_t bitrate) {
   if (!info) return {"CAN " + interface, ReadinessStatus::Fail, "not usable", info.error().message};
   if (!info->up)
     return {"CAN " + interface, ReadinessStatus::Fail, "down",
-            fmt::format("ip link set {} up type can bitrate {}", interface, bitrate)};
+            fmt::format("ip link set {} up type can bitrate {}", interface, rates)};
+  if (flexible_data_rate && !info->flexible_data_rate)
+    return {"CAN " + interface, ReadinessStatus::Fail, "not set up for CAN FD, which the brake's frames need",
+            fmt::format("ip link set {0} down; ip link set {0} up type can bitrate {1}", interface, rates)};
+  if (bus.data_bitrate != 0 && info->data_bitrate != 0 && info->data_bitrate != bus.data_bitrate)
+    return {"CAN " + interface, ReadinessStatus::Fail,
+            fmt::format("CAN FD data run at {} bit/s, configured are {}", info->data_bitrate, bus.data_bitrate),
+            fmt::format("ip link set {0} down; ip link set {0} up type can bitrate {1}", interface, rates)};
   if (info->bitrate != 0 && info->bitrate != bitrate)
     return {"CAN " + interface, ReadinessStatus::Fail,
             fmt::format("runs at {} bit/s, configured are {}", info->bitrate, bitrate),
-            fmt::format("ip link set {0} down; ip link set {0} up type can bitrate {1}", interface, bitrate)};
+            fmt::format("ip link set {0} down; ip link set {0} up type can bitrate {1}", interface, rates)};
   return {"CAN " + interface, ReadinessStatus::Ok,
           fmt::format("up, {}", info->bitrate == 0 ? "virtual" : fmt::format("{} bit/s", info->bitrate)), ""};
 }
 
-ReadinessFact examine_load(const can::ProtocolCodec& codec, std::uint32_t bitrate) {
+ReadinessFact examine_load(const StationConfiguration& configuration, const can::ProtocolCodec& codec) {
   constexpr double kRoomNeeded = 0.75;
-  const double load = can::bus_load(codec, bitrate);
+  const std::uint32_t bitrate = configuration.can.bitrate;
+  const double load = can::bus_load(codec, bitrate, bench::bus_format(configuration, codec).data_speedup);
   return {"CAN bus load", load <= kRoomNeeded ? ReadinessStatus::Ok : ReadinessStatus::Fail,
           fmt::format("{:.0f} % of {} bit/s at worst", 100.0 * load, bitrate),
           load <= kRoomNeeded ? "" : "use 1 Mbit/s: four frames a millisecond do not fit at 500 kbit/s"};
@@ -135,8 +149,8 @@ int doctor(const DoctorOptions& options, const CommonOptions& common) {
   readiness.cpu = configuration->realtime.cpu;
   readiness.jitter_test_ns = static_cast<std::int64_t>(options.seconds * 1e9);
   std::vector<ReadinessFact> facts = rt::examine_readiness(readiness);
-  facts.push_back(examine_can(interface, configuration->can.bitrate));
-  facts.push_back(examine_load(station->codec, configuration->can.bitrate));
+  facts.push_back(examine_can(interface, configuration->can, station->codec.needs_flexible_data_rate()));
+  facts.push_back(examine_load(*configuration, station->codec));
   if (station->panel) examine_panel(*station->panel, facts);
   facts.push_back(examine_database(configuration->database));
   examine_publishing(*configuration, facts);

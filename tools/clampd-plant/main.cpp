@@ -11,6 +11,7 @@
 
 #include "clampd/base/clock.hpp"
 #include "clampd/base/version.hpp"
+#include "clampd/bench/prepared_station.hpp"
 #include "clampd/simulation/plant.hpp"
 #include "drivers/can/codec.hpp"
 #include "drivers/can/socketcan.hpp"
@@ -26,6 +27,7 @@ struct Options {
   std::string interface;
   std::string configuration;
   std::string dbc;
+  std::string station;
   std::string trace;
   int priority = 0;
   double duration_s = 0.0;
@@ -72,11 +74,17 @@ int attend(can::SocketCanBus& bus, plant::Trace* trace, const Options& options) 
 int run(const Options& options) {
   const auto configuration = sim::read_plant_configuration(options.configuration);
   if (!configuration) return refuse(configuration.error().message);
-  const auto codec = can::read_dbc(options.dbc).and_then([](const can::Database& database) {
-    return can::ProtocolCodec::build(database, {});
-  });
+  StationConfiguration station;
+  if (!options.station.empty()) {
+    const auto read = bench::load_configuration(options.station);
+    if (!read) return refuse(read.error().message);
+    station = *read;
+  }
+  if (!options.dbc.empty()) station.can.dbc = options.dbc;  // left out: the frames that ship with clampd
+  const auto codec = bench::build_codec(station);
   if (!codec) return refuse(codec.error().message);
-  const auto bus = can::SocketCanBus::open(options.interface, {codec->command.id});
+  const auto bus =
+      can::SocketCanBus::open(options.interface, {codec->command.id}, bench::bus_format(station, *codec));
   if (!bus) return refuse(bus.error().message);
   std::optional<plant::Trace> trace;
   if (!options.trace.empty()) {
@@ -125,7 +133,10 @@ int main(int argc, char** argv) {
   app.add_option("--config", options.configuration,
                  "The brake: parameters, sensors, faults (TOML), e.g. configs/plant.toml")
       ->required();
-  app.add_option("--dbc", options.dbc, "The frames (DBC), e.g. configs/brake.dbc")->required();
+  CLI::Option* dbc = app.add_option("--dbc", options.dbc, "The frames (DBC), e.g. configs/brake.dbc");
+  app.add_option("--station", options.station,
+                 "A station's configuration, whose DBC file, mapping and protection this brake speaks")
+      ->excludes(dbc);
   app.add_option("--realtime", options.priority, "SCHED_FIFO priority; without it an ordinary thread")
       ->check(CLI::Range(1, 99));
   app.add_option("--trace", options.trace, "Writes the brake's true state at every sample (CSV)");

@@ -102,7 +102,8 @@ int run(const std::string& file, bool simulated, const std::string& plant_file) 
     return serve(daemon, *configuration);
   }
   Result<std::unique_ptr<can::SocketCanBus>> bus =
-      can::SocketCanBus::open(configuration->can.interface, station->codec.feedback_ids());
+      can::SocketCanBus::open(configuration->can.interface, station->codec.feedback_ids(),
+                              bench::bus_format(*configuration, station->codec));
   if (!bus) return miss(bus.error());
   daemon::Daemon daemon(*station, **bus, *store, panel.get());
   return serve(daemon, *configuration);

@@ -33,6 +33,12 @@ struct PreparedStation {
 /// file and what is wrong in it.
 Result<PreparedStation> prepare_station(const StationConfiguration& configuration);
 
+/// The brake's frames, as [can] and its DBC file describe them. Errors name the file and what is wrong in it.
+Result<can::ProtocolCodec> build_codec(const StationConfiguration& configuration);
+
+/// What the bus must carry for these frames.
+can::BusFormat bus_format(const StationConfiguration& configuration, const can::ProtocolCodec& codec);
+
 /// The configuration of `path`; empty: /etc/clampd/station.toml if it is there, else the defaults.
 Result<StationConfiguration> load_configuration(const std::string& path);
 

@@ -25,11 +25,23 @@ inline constexpr std::array<std::string_view, 12> kMappingRoles{
     "torque_command", "enable",  "force",    "velocity", "torque",  "position",
     "sample_clock",   "enabled", "watchdog", "fault",    "counter", "crc"};
 
+/// What proves that a frame is whole and the one that was meant, as the brake's maker describes it.
+struct CanProtection {
+  std::string checksum = "sae-j1850";  ///< its name; the drivers know them all
+  /// Of checksum = "crc": the parameters of the catalogue of CRC algorithms.
+  int width_bits = 8;
+  std::uint64_t polynomial = 0x1D, start = 0, final_xor = 0;
+  bool reflected = false;
+  std::string data_id = "none";  ///< "before" or "after" the frame's bytes, or "none"
+};
+
 struct CanSettings {
   std::string interface;  ///< e.g. "can0"; empty: the embedded simulated brake, in virtual time
   std::string dbc;        ///< path; empty: the DBC file that ships with the station
   std::uint32_t bitrate =
       1'000'000;  ///< bit/s, for the bus load; the interface itself is set up by the system
+  std::uint32_t data_bitrate = 0;  ///< bit/s of the data of CAN FD frames; 0: no bit-rate switch
+  CanProtection protection;
   /// Names in this brake's DBC file by role, one of kMappingRoles; roles that are not named keep their
   /// default.
   std::vector<std::pair<std::string, std::string>> mapping;
