@@ -95,7 +95,8 @@ class CauseSearch : public ::testing::Test {
  protected:
   /// A check in this process of a brake whose force reading lags.
   PseudoTerminal check(std::vector<std::string> further) {
-    folder_.write("station.toml", "[check]\nrepeats = 6\n");
+    folder_.write("station.toml",
+                  "[check]\nrepeats = 6\n[archive]\ndatabase = \"" + folder_.path("checks.sqlite") + "\"\n");
     folder_.write("brake.toml", "[effects]\nforce-lag = 0.01\n");
     std::vector<std::string> arguments{
         CLAMPCTL,   "--config", folder_.path("station.toml"), "run",
