@@ -14,8 +14,10 @@
 namespace clampd {
 namespace {
 
-/// Whole turns of the 4-bit alive counter and one step: counter and sample clock still agree after it.
-constexpr std::int64_t kPause_ns = (6 * 16 + 1) * kPeriod_ns;
+/// Between two repeats. Counters go on in it as they would on the bus, so that they agree with the sample
+/// clock.
+constexpr int kPause_periods = 97;
+constexpr std::int64_t kPause_ns = kPause_periods * kPeriod_ns;
 
 void append(std::string& log, std::int64_t stamp_ns, std::string_view interface, const can::Frame& frame) {
   const std::int64_t stamp_us = (stamp_ns + 500) / 1000;
@@ -25,6 +27,8 @@ void append(std::string& log, std::int64_t stamp_ns, std::string_view interface,
     fmt::format_to(std::back_inserter(log), "{:08X}#", frame.id & ~can::kExtendedId);
   else
     fmt::format_to(std::back_inserter(log), "{:03X}#", frame.id);
+  if (frame.format != can::FrameFormat::Classic)
+    fmt::format_to(std::back_inserter(log), "#{}", frame.format == can::FrameFormat::FdFastData ? 1 : 0);
   for (std::size_t i = 0; i < frame.size; ++i)
     fmt::format_to(std::back_inserter(log), "{:02X}", frame.data[i]);
   log += '\n';
@@ -58,6 +62,10 @@ Result<std::string> format_candump(const CheckRecord& record, const can::Protoco
       append(log, stamp_ns - kPeriod_ns / 2, interface, station.command({run.torque_Nm[k], true}));
       const std::size_t count = brake.feedback(reading, frames);
       for (std::size_t i = 0; i < count; ++i) append(log, stamp_ns, interface, frames[i]);
+    }
+    for (int k = 1; k < kPause_periods; ++k) {
+      (void)station.command({});
+      brake.feedback({}, frames);
     }
     if (run.size() > 0) offset_ns += std::llround((run.time_s.back() - run.time_s[0]) * 1e9) + kPause_ns;
   }

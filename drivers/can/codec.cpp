@@ -58,8 +58,9 @@ Result<Place> find(const Database& database, std::string_view what, const std::s
                                database.file));
   }
   if (!Field::fits(*signal)) {
-    return failure(fmt::format("{}: {} in {} has {} bits and begins within a byte; the station reads up to 57 there",
-                               what, place, database.file, signal->bits));
+    return failure(
+        fmt::format("{}: {} in {} has {} bits and begins within a byte; the station reads up to 57 there",
+                    what, place, database.file, signal->bits));
   }
   return Place{message, signal};
 }
@@ -76,7 +77,8 @@ Result<double> si_factor(const Database& database, std::string_view what, const 
       fmt::format("{}: {} in {} has the unit \"{}\"; expected {}", what, place, database.file, unit, known));
 }
 
-/// CAN FD by its size, or because Vector's attribute says so: 14 and 15 are its standard and extended FD frames.
+/// CAN FD by its size, or because Vector's attribute says so: 14 and 15 are its standard and extended FD
+/// frames.
 Result<FrameFormat> frame_format(const Message& message, const ProtocolMapping& mapping,
                                  const std::string& where) {
   const auto found = message.attributes.find("VFrameFormat");

@@ -36,8 +36,8 @@ struct ProtocolMapping {
   std::string counter = "AliveCounter";
   std::string crc = "Crc";
   ProtectionDescription protection;
-  /// Frames of more than 8 bytes, and those that the DBC file's attribute VFrameFormat says so of, are CAN FD;
-  /// their data are sent faster.
+  /// Frames of more than 8 bytes, and those that the DBC file's attribute VFrameFormat says so of, are CAN
+  /// FD; their data are sent faster.
   bool fast_data = false;
 };
 
@@ -83,8 +83,8 @@ struct ProtocolCodec {
 
   /// Checks the mapping against the database. Errors name the DBC file, message and signal, and what is
   /// needed: a name that is not there, a message with defects or of a size that no frame has, a multiplexed
-  /// signal, an unknown unit, a counter or checksum of the wrong shape, a command or clock that cannot express
-  /// what the loop needs.
+  /// signal, an unknown unit, a counter or checksum of the wrong shape, a command or clock that cannot
+  /// express what the loop needs.
   static Result<ProtocolCodec> build(const Database& database, const ProtocolMapping& mapping);
 
   /// Identifiers the station receives, in the order of `feedback`.

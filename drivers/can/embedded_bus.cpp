@@ -40,8 +40,7 @@ std::size_t EmbeddedBus::Port::receive(std::span<TimedFrame> out, std::int64_t n
   std::size_t taken = 0;
   while (taken < out.size() && queued_ > 0 && queue_[head_].arrival_ns <= now_ns) {
     out[taken++] = queue_[head_];
-    health_.bus_bits +=
-        static_cast<std::uint64_t>(worst_case_bits(queue_[head_].frame, bus_->format_));
+    health_.bus_bits += static_cast<std::uint64_t>(worst_case_bits(queue_[head_].frame, bus_->format_));
     ++health_.frames_received;
     head_ = (head_ + 1) % queue_.size();
     --queued_;

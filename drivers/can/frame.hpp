@@ -15,15 +15,15 @@ inline constexpr std::size_t kMaxFrameBytes = 64;  ///< of a CAN FD frame
 
 /// How a data frame is sent.
 enum class FrameFormat : std::uint8_t {
-  Classic,       ///< at most 8 bytes
-  Fd,            ///< CAN FD, all of it at the nominal bit rate
-  FdFastData,    ///< CAN FD with bit-rate switch: its data at the bus's data bit rate
+  Classic,     ///< at most 8 bytes
+  Fd,          ///< CAN FD, all of it at the nominal bit rate
+  FdFastData,  ///< CAN FD with bit-rate switch: its data at the bus's data bit rate
 };
 
 /// One data frame.
 struct Frame {
-  std::uint32_t id = 0;   ///< 11 or 29 bits; kExtendedId is set for the latter
-  std::uint8_t size = 0;  ///< bytes; of a CAN FD frame one of kFdSizes
+  std::uint32_t id = 0;                             ///< 11 or 29 bits; kExtendedId is set for the latter
+  std::uint8_t size = 0;                            ///< bytes; of a CAN FD frame one of kFdSizes
   std::array<std::uint8_t, kMaxFrameBytes> data{};  ///< zero from `size` on
   FrameFormat format = FrameFormat::Classic;
 
@@ -50,9 +50,9 @@ struct BusFormat {
   double data_speedup = 1.0;  ///< data bit rate over nominal bit rate
 };
 
-/// Time that a data frame takes at most on the wire, in bits of the nominal bit rate: stuff bits and the three
-/// bits of interframe space included. Of 8 classic bytes: 135 with an 11-bit identifier, 160 with a 29-bit
-/// one. For CAN FD: ISO 11898-1:2015, with its fixed stuff bits in the CRC field.
+/// Time that a data frame takes at most on the wire, in bits of the nominal bit rate: stuff bits and the
+/// three bits of interframe space included. Of 8 classic bytes: 135 with an 11-bit identifier, 160 with a
+/// 29-bit one. For CAN FD: ISO 11898-1:2015, with its fixed stuff bits in the CRC field.
 constexpr int worst_case_bits(std::uint32_t id, std::size_t size, FrameFormat format = FrameFormat::Classic,
                               double data_speedup = 1.0) noexcept {
   const int data_bits = 8 * static_cast<int>(size);
@@ -61,9 +61,9 @@ constexpr int worst_case_bits(std::uint32_t id, std::size_t size, FrameFormat fo
     const int stuffable_bits = (extended ? 54 : 34) + data_bits;
     return (extended ? 67 : 47) + data_bits + (stuffable_bits - 1) / 4;
   }
-  const int arbitration_bits = extended ? 36 : 17;  // start of frame to bit-rate switch
-  const int end_bits = 13;                          // CRC delimiter to interframe space
-  const int control_bits = 5;                       // error state indicator, data length code
+  const int arbitration_bits = extended ? 36 : 17;            // start of frame to bit-rate switch
+  const int end_bits = 13;                                    // CRC delimiter to interframe space
+  const int control_bits = 5;                                 // error state indicator, data length code
   const int crc_bits = size <= 16 ? 4 + 17 + 6 : 4 + 21 + 7;  // stuff count, CRC, fixed stuff bits
   const int data_phase_bits = control_bits + data_bits + (control_bits + data_bits) / 4 + crc_bits;
   const double speedup = format == FrameFormat::FdFastData ? data_speedup : 1.0;

@@ -4,8 +4,8 @@
 #include <utility>
 #include <vector>
 
-#include <boost/crc.hpp>
 #include <fmt/format.h>
+#include <boost/crc.hpp>
 
 namespace clampd::can {
 namespace {
@@ -18,7 +18,8 @@ using Profile1 = boost::crc_optimal<8, 0x1D, 0x00, 0x00, false, false>;
 using Profile2 = boost::crc_optimal<8, 0x2F, 0xFF, 0xFF, false, false>;
 using Profile4 = boost::crc_optimal<32, 0xF4ACFB13, 0xFFFFFFFF, 0xFFFFFFFF, true, true>;
 using Profile5 = boost::crc_optimal<16, 0x1021, 0xFFFF, 0x0000, false, false>;
-using Profile7 = boost::crc_optimal<64, 0x42F0E1EBA9EA3693, 0xFFFFFFFFFFFFFFFF, 0xFFFFFFFFFFFFFFFF, true, true>;
+using Profile7 =
+    boost::crc_optimal<64, 0x42F0E1EBA9EA3693, 0xFFFFFFFFFFFFFFFF, 0xFFFFFFFFFFFFFFFF, true, true>;
 
 /// A frame's bytes in order without those of its checksum, between what comes before and after them.
 struct Input {
@@ -73,11 +74,11 @@ Field big_endian(std::size_t byte, std::size_t bits) {
 /// What a checksum wants of the frame.
 struct Layout {
   std::size_t checksum_bits = 8;
-  std::optional<ByteOrder> order;            ///< of the checksum
-  std::size_t counter_bits = 0;              ///< 0: any width that a frame can have
-  std::optional<std::size_t> counter_byte;   ///< after the header's first one
+  std::optional<ByteOrder> order;           ///< of the checksum
+  std::size_t counter_bits = 0;             ///< 0: any width that a frame can have
+  std::optional<std::size_t> counter_byte;  ///< after the header's first one
   std::size_t header_bytes = 0;
-  std::size_t checksum_at = 0;               ///< byte of the header
+  std::size_t checksum_at = 0;  ///< byte of the header
   std::uint64_t largest_data_id = 0xFFFF;
 };
 
@@ -150,21 +151,23 @@ class FrameProtection::Builder {
   }
 
  private:
-  std::string name() const { return std::string(kChecksumNames[static_cast<std::size_t>(description_.checksum)]); }
+  std::string name() const {
+    return std::string(kChecksumNames[static_cast<std::size_t>(description_.checksum)]);
+  }
 
   Result<void> place_checksum() {
     if (description_.checksum == Checksum::None) return {};
     const Signal* signal = checksum_.empty() ? nullptr : message_.find_signal(checksum_);
-    const bool shaped =
-        signal != nullptr && signal->bits == layout_.checksum_bits && is_plain_count(*signal) &&
-        signal->start_bit % 8 == (signal->order == ByteOrder::Intel ? 0U : 7U) &&
-        (signal->bits == 8 || !layout_.order || *layout_.order == signal->order);
+    const bool shaped = signal != nullptr && signal->bits == layout_.checksum_bits &&
+                        is_plain_count(*signal) &&
+                        signal->start_bit % 8 == (signal->order == ByteOrder::Intel ? 0U : 7U) &&
+                        (signal->bits == 8 || !layout_.order || *layout_.order == signal->order);
     if (!shaped)
       return failure(fmt::format(
           "{} needs a checksum {}: {} bits that fill whole bytes{}, unsigned, scale 1, offset 0, as "
           "[can.protection] checksum = \"{}\" has it; \"none\" if the brake's frames carry none",
           where_, checksum_, layout_.checksum_bits,
-          !layout_.order                            ? ""
+          !layout_.order                          ? ""
           : *layout_.order == ByteOrder::Motorola ? ", most significant byte first"
                                                   : ", least significant byte first",
           name()));
@@ -200,8 +203,9 @@ class FrameProtection::Builder {
       Frame probe;
       due.set_raw(probe, due.largest_raw() - 1);
       if (built_.counter_.raw(probe) != due.largest_raw() - 1)
-        return failure(fmt::format("{}: \"{}\" has its counter at byte {}, most significant byte first; {} is elsewhere",
-                                   where_, name(), built_.header_ + *layout_.counter_byte, counter_));
+        return failure(
+            fmt::format("{}: \"{}\" has its counter at byte {}, most significant byte first; {} is elsewhere",
+                        where_, name(), built_.header_ + *layout_.counter_byte, counter_));
     }
     if (description_.checksum == Checksum::E2e1a || description_.checksum == Checksum::E2e1b ||
         description_.checksum == Checksum::E2e1c)
@@ -247,10 +251,11 @@ class FrameProtection::Builder {
       }
     }
     if (ids.size() != kProfile2Ids)
-      return failure(fmt::format(
-          "{}: \"e2e-2\" takes another data id for each value of the counter: give the sixteen of them, 0 to 255, "
-          "as its attribute E2EDataIdList, \"1,2,...\"; it is {}",
-          where_, text == nullptr ? "not there" : "'" + *text + "'"));
+      return failure(
+          fmt::format("{}: \"e2e-2\" takes another data id for each value of the counter: give the sixteen "
+                      "of them, 0 to 255, "
+                      "as its attribute E2EDataIdList, \"1,2,...\"; it is {}",
+                      where_, text == nullptr ? "not there" : "'" + *text + "'"));
     std::copy(ids.begin(), ids.end(), built_.data_ids_.begin());
     return {};
   }
@@ -259,11 +264,11 @@ class FrameProtection::Builder {
   Result<void> place_nibble() {
     if (description_.checksum != Checksum::E2e1c) return {};
     const Signal& counter = *message_.find_signal(counter_);
-    const std::size_t lowest =
-        counter.order == ByteOrder::Intel ? counter.start_bit : counter.start_bit - 3;
+    const std::size_t lowest = counter.order == ByteOrder::Intel ? counter.start_bit : counter.start_bit - 3;
     if (lowest % 4 != 0)
-      return failure(fmt::format("{}: \"e2e-1c\" has counter and data id nibble in the halves of one byte; {} fills none",
-                                 where_, counter_));
+      return failure(fmt::format(
+          "{}: \"e2e-1c\" has counter and data id nibble in the halves of one byte; {} fills none", where_,
+          counter_));
     Signal nibble;
     nibble.start_bit = lowest % 8 == 0 ? lowest + 4 : lowest - 4;
     nibble.bits = 4;

@@ -47,7 +47,7 @@ struct CrcDescription {
   std::uint64_t polynomial = 0x1D;
   std::uint64_t start = 0;
   std::uint64_t final_xor = 0;
-  bool reflected = false;  ///< input and output
+  bool reflected = false;                   ///< input and output
   DataIdPlace data_id = DataIdPlace::None;  ///< both bytes of it, low byte first
 };
 
@@ -92,7 +92,7 @@ class FrameProtection {
   CrcDescription crc_;
   Field counter_;
   std::uint64_t counter_values_ = 0;
-  Field value_;  ///< the checksum's own place
+  Field value_;                             ///< the checksum's own place
   std::size_t first_byte_ = 0, bytes_ = 0;  ///< of it
   std::uint32_t data_id_ = 0;
   std::array<std::uint8_t, 16> data_ids_{};  ///< of profile 2

@@ -25,8 +25,8 @@ enum class AliveVerdict : std::uint8_t {
   Backward,  ///< more than half of the counter's turn ahead: an old frame
 };
 
-/// Judges the alive counter of one frame identifier. Only intact frames may come here. Longer silence than half
-/// a turn of the counter makes it ambiguous: any value is then accepted as a new start.
+/// Judges the alive counter of one frame identifier. Only intact frames may come here. Longer silence than
+/// half a turn of the counter makes it ambiguous: any value is then accepted as a new start.
 class AliveCheck {
  public:
   AliveCheck() = default;
@@ -59,10 +59,10 @@ class StationProtocol {
   /// The next command frame. A torque that is not finite goes out as a disabled zero torque.
   CLAMPD_REALTIME Frame command(const TorqueCommand& command) noexcept;
 
-  /// Takes one received frame. When it completes a sample (all feedback frames with one counter value; without a
-  /// counter, within half a period of the first), that sample: `sample_index` counts from 0 and follows counter and sample clock, `brake_time_ns` is the
-  /// unwrapped sample clock, `arrival_time_ns` that of the completing frame. Frames of other identifiers are
-  /// ignored.
+  /// Takes one received frame. When it completes a sample (all feedback frames with one counter value;
+  /// without a counter, within half a period of the first), that sample: `sample_index` counts from 0 and
+  /// follows counter and sample clock, `brake_time_ns` is the unwrapped sample clock, `arrival_time_ns` that
+  /// of the completing frame. Frames of other identifiers are ignored.
   CLAMPD_REALTIME std::optional<BrakeFeedback> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
 
   CLAMPD_REALTIME const ProtocolCounts& counts() const noexcept { return counts_; }

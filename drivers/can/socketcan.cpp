@@ -76,7 +76,8 @@ Result<int> open_socket(const std::string& interface, const std::vector<std::uin
 
   if (format.flexible_data_rate && !info->flexible_data_rate)
     return failure(fmt::format(
-        "CAN interface {} is not set up for CAN FD, which the brake's frames need: 'ip link set {} down', then "
+        "CAN interface {} is not set up for CAN FD, which the brake's frames need: 'ip link set {} down', "
+        "then "
         "'ip link set {} up type can bitrate ... dbitrate ... fd on' (a vcan: 'ip link set {} mtu {}')",
         interface, interface, interface, interface, CANFD_MTU));
 
@@ -204,7 +205,8 @@ Result<InterfaceInfo> inspect_interface(const std::string& name) {
   for_each_attribute(message.subspan(NLMSG_HDRLEN + NLMSG_ALIGN(sizeof body)),
                      [&](int type, std::span<const std::uint8_t> payload) {
                        if (type == IFLA_LINKINFO) read_link_info(payload, info);
-                       if (type == IFLA_MTU) info.flexible_data_rate = read_as<std::uint32_t>(payload) >= CANFD_MTU;
+                       if (type == IFLA_MTU)
+                         info.flexible_data_rate = read_as<std::uint32_t>(payload) >= CANFD_MTU;
                        if (type == IFLA_TXQLEN) info.transmit_queue = read_as<std::uint32_t>(payload);
                      });
   std::error_code ignored;
@@ -371,8 +373,8 @@ bool SocketCanBus::send(const Frame& frame, std::int64_t /*now_ns*/) noexcept {
   if (frame.format == FrameFormat::FdFastData) outgoing.flags = CANFD_BRS;
   std::memcpy(outgoing.data, frame.data.data(), frame.size);
   const std::size_t bytes = fd ? CANFD_MTU : CAN_MTU;
-  const bool sent = ::send(descriptor_, &outgoing, bytes, MSG_DONTWAIT | MSG_NOSIGNAL) ==
-                    static_cast<ssize_t>(bytes);
+  const bool sent =
+      ::send(descriptor_, &outgoing, bytes, MSG_DONTWAIT | MSG_NOSIGNAL) == static_cast<ssize_t>(bytes);
   if (sent) {
     ++health_.frames_sent;
     health_.bus_bits += static_cast<std::uint64_t>(worst_case_bits(frame, format_));

@@ -50,7 +50,8 @@ CLAMPD_REALTIME void apply_error_frame(const can_frame& frame, BusHealth& health
 class SocketCanBus final : public FrameBus {
  public:
   /// Only data frames with these identifiers (kExtendedId set for 29 bits) and error frames will be received.
-  /// Errors: no such interface, one that is not set up for CAN FD where `format` wants it, a kernel without CAN.
+  /// Errors: no such interface, one that is not set up for CAN FD where `format` wants it, a kernel without
+  /// CAN.
   static Result<std::unique_ptr<SocketCanBus>> open(const std::string& interface,
                                                     std::vector<std::uint32_t> wanted_ids,
                                                     const BusFormat& format = {});

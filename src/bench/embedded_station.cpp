@@ -30,7 +30,8 @@ EmbeddedStation::EmbeddedStation(PreparedStation station, const sim::PlantConfig
       own_deadline_s_(station_.configuration.check.deadline_s),
       own_repeats_(static_cast<double>(station_.plan.repeats)),
       own_rows_(static_cast<double>(station_.plan.reference.rows.size())),
-      bus_(static_cast<double>(station_.configuration.can.bitrate), bus_format(station_.configuration, station_.codec)),
+      bus_(static_cast<double>(station_.configuration.can.bitrate),
+           bus_format(station_.configuration, station_.codec)),
       port_(bus_.end(can::EmbeddedBus::End::Station), station_.codec),
       brake_(bus_.end(can::EmbeddedBus::End::Brake), station_.codec, plant, nullptr),
       core_(port_, station_.supervisor) {}

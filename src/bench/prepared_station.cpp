@@ -94,14 +94,20 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
 
 }  // namespace
 
-Result<can::ProtocolCodec> build_codec(const StationConfiguration& configuration) {
+Result<FrameDescription> read_frames(const StationConfiguration& configuration) {
   const Result<can::ProtocolMapping> mapping = protocol_mapping(configuration);
   if (!mapping) return tl::unexpected(mapping.error());
-  const Result<can::Database> database = configuration.can.dbc.empty()
-                                             ? can::parse_dbc(kBuiltinDbc, "built-in brake.dbc")
-                                             : can::read_dbc(configuration.can.dbc);
+  Result<can::Database> database = configuration.can.dbc.empty()
+                                       ? can::parse_dbc(kBuiltinDbc, "built-in brake.dbc")
+                                       : can::read_dbc(configuration.can.dbc);
   if (!database) return tl::unexpected(database.error());
-  return can::ProtocolCodec::build(*database, *mapping);
+  return FrameDescription{std::move(*database), *mapping};
+}
+
+Result<can::ProtocolCodec> build_codec(const StationConfiguration& configuration) {
+  return read_frames(configuration).and_then([](const FrameDescription& frames) {
+    return can::ProtocolCodec::build(frames.database, frames.mapping);
+  });
 }
 
 can::BusFormat bus_format(const StationConfiguration& configuration, const can::ProtocolCodec& codec) {

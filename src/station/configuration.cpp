@@ -3,11 +3,11 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <limits>
-#include <charconv>
 #include <array>
+#include <charconv>
 #include <cstdlib>
 #include <filesystem>
+#include <limits>
 
 #include <fmt/format.h>
 
@@ -96,8 +96,8 @@ void read_protection(TableReader& parent, const std::string& file, std::optional
   for (const std::string_view key : {"width", "polynomial", "start", "final_xor", "reflected", "data_id"})
     if (!described && table->contains(key))
       reader.refuse(table->get(key)->source(),
-                    fmt::format("can.protection.{} belongs to checksum = \"crc\", and checksum is \"{}\"", key,
-                                protection.checksum));
+                    fmt::format("can.protection.{} belongs to checksum = \"crc\", and checksum is \"{}\"",
+                                key, protection.checksum));
   reader.integer("width", protection.width_bits, 8, 64);
   if (protection.width_bits != 8 && protection.width_bits != 16 && protection.width_bits != 32 &&
       protection.width_bits != 64)
@@ -120,8 +120,9 @@ void read_can(TableReader& reader, const toml::table& table, const std::string& 
   reader.integer("bitrate", can.bitrate, 10'000, 1'000'000);
   reader.integer("data_bitrate", can.data_bitrate, 0, 8'000'000);
   if (can.data_bitrate != 0 && can.data_bitrate < can.bitrate)
-    reader.refuse(table.get("data_bitrate")->source(),
-                  "can.data_bitrate must not be below can.bitrate; leave it out for a bus without bit-rate switch");
+    reader.refuse(
+        table.get("data_bitrate")->source(),
+        "can.data_bitrate must not be below can.bitrate; leave it out for a bus without bit-rate switch");
   read_protection(reader, file, error, can.protection);
   const toml::table* mapping = reader.table("mapping");
   if (mapping == nullptr) return;

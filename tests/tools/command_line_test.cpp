@@ -94,6 +94,24 @@ TEST_F(CommandLine, ABrakeThatStopsSendingIsAnErrorOfTheStation) {
   EXPECT_THAT(outcome.output, AllOf(HasSubstr("ERROR"), HasSubstr("stopped sending")));
 }
 
+TEST_F(CommandLine, ALogOfFramesIsCheckedAgainstTheConfiguration) {
+  ASSERT_EQ(clampctl("run --serial GOOD-1 --repeats 3").exit_code, 0);
+  ASSERT_EQ(clampctl("results last --candump frames.log").exit_code, 0);
+  const Outcome understood = clampctl("can check frames.log --json");
+  EXPECT_EQ(understood.exit_code, 0) << understood.output;
+  const auto document = nlohmann::json::parse(understood.output);
+  EXPECT_EQ(document.at("schema"), "clampd.can-check/1");
+  EXPECT_EQ(document.at("understood"), true);
+  EXPECT_EQ(document.at("expected").at(1).at("message"), "BrakeFeedback");
+  EXPECT_GT(document.at("samples"), 800);
+
+  write("other.toml", "[can.protection]\nchecksum = \"e2e-1a\"\n");
+  const Outcome misunderstood = clampctl("can check frames.log --config other.toml");
+  EXPECT_EQ(misunderstood.exit_code, 3) << misunderstood.output;
+  EXPECT_THAT(misunderstood.output, AllOf(HasSubstr("[can.protection] checksum = \"sae-j1850\""),
+                                          HasSubstr("does not understand this brake yet")));
+}
+
 TEST_F(CommandLine, SimulatesAndIdentifies) {
   const Outcome simulated = clampctl("simulate --manoeuvre optimal --seed 5 --repeats 3 --out runs");
   EXPECT_EQ(simulated.exit_code, 0) << simulated.output;
@@ -305,7 +323,11 @@ INSTANTIATE_TEST_SUITE_P(
         BadInput{"ResultsNone", "results", "simulated.sqlite"},
         BadInput{"ResultsVerdict", "results --verdict GOOD", "GOOD"},
         BadInput{"DoctorInterface", "doctor --interface can77 --seconds 0.5", "can77"},
-        BadInput{"DoctorConfiguration", "doctor --config not.toml", "not.toml"}),
+        BadInput{"DoctorConfiguration", "doctor --config not.toml", "not.toml"},
+        BadInput{"CanCheckNoLog", "can check nowhere.log", "nowhere.log"},
+        BadInput{"CanCheckNoFrames", "can check word.csv", "no CAN frame in its"},
+        BadInput{"CanCheckDbc", "can check word.csv --dbc nowhere.dbc", "nowhere.dbc"},
+        BadInput{"CanNothing", "can", "subcommand"}),
     [](const auto& instance) { return std::string(instance.param.name); });
 
 /// What the programs say where there is no interface can77, or no CAN in the kernel at all.

@@ -38,5 +38,6 @@ void add_statistics_commands(CLI::App& app, const CommonOptions& common,
 void add_gauge_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_master_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_doctor_command(CLI::App& app, const CommonOptions& common, int& exit_code);
+void add_can_command(CLI::App& app, const CommonOptions& common, int& exit_code);  ///< can check
 
 }  // namespace clampd::ctl

@@ -31,9 +31,9 @@ struct DoctorOptions {
 
 ReadinessFact examine_can(const std::string& interface, const CanSettings& bus, bool flexible_data_rate) {
   const std::uint32_t bitrate = bus.bitrate;
-  const std::string rates = flexible_data_rate
-                                ? fmt::format("{} dbitrate {} fd on", bitrate, std::max(bitrate, bus.data_bitrate))
-                                : std::to_string(bitrate);
+  const std::string rates =
+      flexible_data_rate ? fmt::format("{} dbitrate {} fd on", bitrate, std::max(bitrate, bus.data_bitrate))
+                         : std::to_string(bitrate);
   if (interface.empty()) {
     if (can::kernel_has_can())
       return {"CAN", ReadinessStatus::Ok,
@@ -52,9 +52,10 @@ ReadinessFact examine_can(const std::string& interface, const CanSettings& bus, 
     return {"CAN " + interface, ReadinessStatus::Fail, "not set up for CAN FD, which the brake's frames need",
             fmt::format("ip link set {0} down; ip link set {0} up type can bitrate {1}", interface, rates)};
   if (bus.data_bitrate != 0 && info->data_bitrate != 0 && info->data_bitrate != bus.data_bitrate)
-    return {"CAN " + interface, ReadinessStatus::Fail,
-            fmt::format("CAN FD data run at {} bit/s, configured are {}", info->data_bitrate, bus.data_bitrate),
-            fmt::format("ip link set {0} down; ip link set {0} up type can bitrate {1}", interface, rates)};
+    return {
+        "CAN " + interface, ReadinessStatus::Fail,
+        fmt::format("CAN FD data run at {} bit/s, configured are {}", info->data_bitrate, bus.data_bitrate),
+        fmt::format("ip link set {0} down; ip link set {0} up type can bitrate {1}", interface, rates)};
   if (info->bitrate != 0 && info->bitrate != bitrate)
     return {"CAN " + interface, ReadinessStatus::Fail,
             fmt::format("runs at {} bit/s, configured are {}", info->bitrate, bitrate),
@@ -109,15 +110,13 @@ void examine_panel(const gpio::PanelSettings& panel, std::vector<ReadinessFact>&
 
 void examine_publishing(const StationConfiguration& configuration, std::vector<ReadinessFact>& facts) {
   const Result<CheckStore> store = CheckStore::open(configuration.database, CheckStore::Access::ReadOnly);
-  for (const bench::ChannelReport& channel :
-       bench::try_channels(configuration, store ? &*store : nullptr)) {
+  for (const bench::ChannelReport& channel : bench::try_channels(configuration, store ? &*store : nullptr)) {
     facts.push_back({"publishing, " + channel.channel,
                      channel.error.empty() ? ReadinessStatus::Ok : ReadinessStatus::Warn,
                      fmt::format("{} {}, {}", channel.where, channel.connected ? "answers" : "cannot be used",
                                  bench::waiting_text(channel.pending, channel.oldest_age_s)),
                      channel.error});
-    if (const std::string warning = bench::password_warning(configuration, channel.channel);
-        !warning.empty())
+    if (const std::string warning = bench::password_warning(configuration, channel.channel); !warning.empty())
       facts.push_back({"password, " + channel.channel, ReadinessStatus::Warn, "not protected", warning});
   }
 }

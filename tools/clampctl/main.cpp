@@ -34,6 +34,7 @@ int main(int argc, char** argv) {
   ctl::add_gauge_command(app, common, exit_code);
   ctl::add_master_command(app, common, exit_code);
   ctl::add_doctor_command(app, common, exit_code);
+  ctl::add_can_command(app, common, exit_code);
 
   try {
     app.parse(argc, argv);

@@ -33,6 +33,13 @@ struct PreparedStation {
 /// file and what is wrong in it.
 Result<PreparedStation> prepare_station(const StationConfiguration& configuration);
 
+/// The DBC file of [can] and what in it is what to the station.
+struct FrameDescription {
+  can::Database database;
+  can::ProtocolMapping mapping;
+};
+Result<FrameDescription> read_frames(const StationConfiguration& configuration);
+
 /// The brake's frames, as [can] and its DBC file describe them. Errors name the file and what is wrong in it.
 Result<can::ProtocolCodec> build_codec(const StationConfiguration& configuration);
 

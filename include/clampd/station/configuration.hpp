@@ -39,7 +39,7 @@ struct CanSettings {
   std::string interface;  ///< e.g. "can0"; empty: the embedded simulated brake, in virtual time
   std::string dbc;        ///< path; empty: the DBC file that ships with the station
   std::uint32_t bitrate =
-      1'000'000;  ///< bit/s, for the bus load; the interface itself is set up by the system
+      1'000'000;                   ///< bit/s, for the bus load; the interface itself is set up by the system
   std::uint32_t data_bitrate = 0;  ///< bit/s of the data of CAN FD frames; 0: no bit-rate switch
   CanProtection protection;
   /// Names in this brake's DBC file by role, one of kMappingRoles; roles that are not named keep their

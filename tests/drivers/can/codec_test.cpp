@@ -195,7 +195,8 @@ TEST(Codec, ErrorsSayWhatTheMappingNeeds) {
               HasSubstr("needs an alive counter AliveCounter: 2 to 32 bits"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeClock", "Crc").start_bit = 55; }),
               HasSubstr("needs a checksum Crc: 8 bits"));
-  EXPECT_THAT(with([](Database& d) { edit(d, "BrakeClock").size_bytes = 13; }), HasSubstr("has 13 bytes; a CAN FD frame"));
+  EXPECT_THAT(with([](Database& d) { edit(d, "BrakeClock").size_bytes = 13; }),
+              HasSubstr("has 13 bytes; a CAN FD frame"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeClock").defects.push_back("x.dbc:1:2: overlap"); }),
               HasSubstr("x.dbc:1:2: overlap"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeFeedback", "Force").multiplexor = 3; }),

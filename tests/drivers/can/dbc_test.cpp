@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
@@ -12,6 +13,8 @@
 #include <sstream>
 #include <string>
 #include <vector>
+
+#include "drivers/can/log_check.hpp"
 
 namespace clampd::can {
 namespace {
@@ -83,6 +86,68 @@ TEST_P(RealDbc, HasAsManyMessagesAndSignalsAsLinesSaySo) {
   EXPECT_EQ(signals, count_lines(text_, "SG_"));
   EXPECT_EQ(defects, GetParam().defects);
   EXPECT_EQ(database->value_tables.size(), count_lines(text_, "VAL_TABLE_"));
+}
+
+/// Frames of the file's own messages, ten of each, a millisecond apart.
+FrameLog log_of(const Database& database, std::mt19937_64& random) {
+  FrameLog log;
+  for (int k = 0; k < 10; ++k)
+    for (const Message& message : database.messages) {
+      Frame frame{message.id, static_cast<std::uint8_t>(std::min(message.size_bytes, kMaxFrameBytes)), {}};
+      if (frame.size > kClassicBytes) frame.format = FrameFormat::Fd;
+      for (std::size_t i = 0; i < frame.size; ++i) frame.data[i] = static_cast<std::uint8_t>(random());
+      log.frames.push_back({k * 1'000'000, frame});
+    }
+  return log;
+}
+
+void set_unit(Database& database, const std::string& place, const char* unit) {
+  for (Message& message : database.messages)
+    for (Signal& signal : message.signals)
+      if (message.name + "." + signal.name == place) signal.unit = unit;
+}
+
+TEST_P(RealDbc, ALogIsUnderstoodOrRefusedWithTheReason) {
+  const auto database = read_dbc(path_.string());
+  ASSERT_TRUE(database) << database.error().message;
+  std::mt19937_64 random{5};
+  const FrameLog log = log_of(*database, random);
+  EXPECT_EQ(identifiers(log, *database).size(), database->messages.size());
+  std::vector<std::string> places;
+  for (const Message& message : database->messages)
+    for (const Signal& signal : message.signals) places.push_back(message.name + "." + signal.name);
+  if (places.empty()) return;
+  int built = 0;
+  for (int trial = 0; trial < 400; ++trial) {
+    Database candidate = *database;
+    // Any signal, in most trials with the unit that the role wants: then more than the unit is looked at.
+    const auto any = [&](const char* unit) {
+      const std::string place = places[random() % places.size()];
+      if (trial % 4 != 0) set_unit(candidate, place, unit);
+      return place;
+    };
+    ProtocolMapping mapping;
+    mapping.torque_command = any("Nm");
+    const std::string command = mapping.torque_command.substr(0, mapping.torque_command.find('.'));
+    mapping.enable = command + "." + candidate.find_message(command)->signals.back().name;
+    mapping.force = any("N");
+    mapping.velocity = any("rad/s");
+    mapping.torque = any("Nm");
+    mapping.position = any("rad");
+    mapping.sample_clock = any("us");
+    mapping.enabled = mapping.watchdog = mapping.fault = mapping.counter = mapping.crc = "";
+    mapping.protection.checksum = Checksum::None;
+    const auto codec = ProtocolCodec::build(candidate, mapping);
+    if (!codec) {
+      EXPECT_GT(codec.error().message.size(), 30U) << codec.error().message;
+      continue;
+    }
+    ++built;
+    const LogFinding finding = check_log(log, candidate, mapping, *codec);
+    EXPECT_EQ(finding.frames.size(), 1 + codec->feedback_frames);
+    for (const FrameFinding& frame : finding.frames) EXPECT_EQ(frame.seen, 10U);
+  }
+  RecordProperty("built", built);
 }
 
 TEST_P(RealDbc, EverySignalOfEveryMessageSurvivesARoundTrip) {

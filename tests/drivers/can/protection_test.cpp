@@ -68,7 +68,8 @@ std::uint64_t crc_of(const CrcDescription& crc, const Bytes& bytes) {
   ProtectionDescription description = of(Checksum::Crc);
   description.crc = crc;
   const std::size_t width = static_cast<std::size_t>(crc.width_bits) / 8;
-  const Message m = message(bytes.size() + width, {whole_bytes("Crc", bytes.size(), width, ByteOrder::Motorola)});
+  const Message m =
+      message(bytes.size() + width, {whole_bytes("Crc", bytes.size(), width, ByteOrder::Motorola)});
   const auto protection = FrameProtection::build(m, "", "Crc", description, "message M of x.dbc");
   EXPECT_TRUE(protection) << error_of(protection);
   Frame frame{0x100, static_cast<std::uint8_t>(m.size_bytes), {}};
@@ -126,7 +127,8 @@ TEST(Crc, GivesThePublishedValues) {
 // The examples of AUTOSAR FO PRS E2EProtocol: frames of zeros.
 
 TEST(E2eProfile1, GivesThePublishedExamples) {
-  const Message m = message(8, {whole_bytes("Crc", 0, 1, ByteOrder::Intel), low_nibble("Counter", 1)}, "0x123");
+  const Message m =
+      message(8, {whole_bytes("Crc", 0, 1, ByteOrder::Intel), low_nibble("Counter", 1)}, "0x123");
   const auto both = build(m, Checksum::E2e1a);
   ASSERT_TRUE(both) << error_of(both);
   EXPECT_THAT(protect(*both, 8, 0), ElementsAre(0xCC, 0, 0, 0, 0, 0, 0, 0));
@@ -138,7 +140,8 @@ TEST(E2eProfile1, GivesThePublishedExamples) {
 }
 
 TEST(E2eProfile1, CountsToFourteenAndTakesNoFifteen) {
-  const Message m = message(8, {whole_bytes("Crc", 0, 1, ByteOrder::Intel), low_nibble("Counter", 1)}, "0x123");
+  const Message m =
+      message(8, {whole_bytes("Crc", 0, 1, ByteOrder::Intel), low_nibble("Counter", 1)}, "0x123");
   const auto protection = build(m, Checksum::E2e1a);
   ASSERT_TRUE(protection);
   EXPECT_EQ(protection->counter_values(), 15U);
@@ -149,8 +152,9 @@ TEST(E2eProfile1, CountsToFourteenAndTakesNoFifteen) {
 
 TEST(E2eProfile1, AlternatesBetweenTheBytesOfTheDataId) {
   const auto with = [](const std::string& id) {
-    const auto built = build(
-        message(8, {whole_bytes("Crc", 0, 1, ByteOrder::Intel), low_nibble("Counter", 1)}, id), Checksum::E2e1b);
+    const auto built =
+        build(message(8, {whole_bytes("Crc", 0, 1, ByteOrder::Intel), low_nibble("Counter", 1)}, id),
+              Checksum::E2e1b);
     EXPECT_TRUE(built);
     return *built;
   };
@@ -166,7 +170,8 @@ TEST(E2eProfile2, GivesThePublishedExamples) {
   m.attributes["E2EDataIdList"] = "1, 2, 3, 4, 5, 6, 7, 8, 9, 0x0A, 11, 12, 13, 14, 15, 16";
   const auto protection = build(m, Checksum::E2e2);
   ASSERT_TRUE(protection) << error_of(protection);
-  const Bytes crc{0x1B, 0x98, 0x31, 0x0D, 0x18, 0x9B, 0x65, 0x08, 0x1D, 0x9E, 0x37, 0x0B, 0x1E, 0x9D, 0xCD, 0x0E};
+  const Bytes crc{0x1B, 0x98, 0x31, 0x0D, 0x18, 0x9B, 0x65, 0x08,
+                  0x1D, 0x9E, 0x37, 0x0B, 0x1E, 0x9D, 0xCD, 0x0E};
   for (std::uint32_t i = 0; i < crc.size(); ++i) {
     const std::uint8_t counter = (i + 1) % 16;
     EXPECT_THAT(protect(*protection, 8, counter), ElementsAre(crc[i], counter, 0, 0, 0, 0, 0, 0));
@@ -174,34 +179,33 @@ TEST(E2eProfile2, GivesThePublishedExamples) {
 }
 
 TEST(E2eProfile4, GivesThePublishedExample) {
-  const Message m = message(16,
-                            {whole_bytes("Crc", 8, 4, ByteOrder::Motorola),
-                             whole_bytes("Counter", 2, 2, ByteOrder::Motorola)},
-                            "0x0a0b0c0d");
+  const Message m = message(
+      16, {whole_bytes("Crc", 8, 4, ByteOrder::Motorola), whole_bytes("Counter", 2, 2, ByteOrder::Motorola)},
+      "0x0a0b0c0d");
   const auto protection = build(m, Checksum::E2e4);
   ASSERT_TRUE(protection) << error_of(protection);
-  EXPECT_THAT(protect(*protection, 16, 0), ElementsAre(0x00, 0x10, 0x00, 0x00, 0x0A, 0x0B, 0x0C, 0x0D, 0x86, 0x2B,
-                                                       0x05, 0x56, 0, 0, 0, 0));
+  EXPECT_THAT(protect(*protection, 16, 0), ElementsAre(0x00, 0x10, 0x00, 0x00, 0x0A, 0x0B, 0x0C, 0x0D, 0x86,
+                                                       0x2B, 0x05, 0x56, 0, 0, 0, 0));
 }
 
 TEST(E2eProfile5, GivesThePublishedExample) {
-  const Message m = message(
-      8, {whole_bytes("Crc", 0, 2, ByteOrder::Intel), whole_bytes("Counter", 2, 1, ByteOrder::Intel)}, "0x1234");
+  const Message m =
+      message(8, {whole_bytes("Crc", 0, 2, ByteOrder::Intel), whole_bytes("Counter", 2, 1, ByteOrder::Intel)},
+              "0x1234");
   const auto protection = build(m, Checksum::E2e5);
   ASSERT_TRUE(protection) << error_of(protection);
   EXPECT_THAT(protect(*protection, 8, 0), ElementsAre(0x1C, 0xCA, 0, 0, 0, 0, 0, 0));
 }
 
 TEST(E2eProfile7, GivesThePublishedExample) {
-  const Message m = message(24,
-                            {whole_bytes("Crc", 0, 8, ByteOrder::Motorola),
-                             whole_bytes("Counter", 12, 4, ByteOrder::Motorola)},
-                            "0x0a0b0c0d");
+  const Message m = message(
+      24, {whole_bytes("Crc", 0, 8, ByteOrder::Motorola), whole_bytes("Counter", 12, 4, ByteOrder::Motorola)},
+      "0x0a0b0c0d");
   const auto protection = build(m, Checksum::E2e7);
   ASSERT_TRUE(protection) << error_of(protection);
   EXPECT_THAT(protect(*protection, 24, 0),
-              ElementsAre(0x1F, 0xB2, 0xE7, 0x37, 0xFC, 0xED, 0xBC, 0xD9, 0, 0, 0, 0x18, 0, 0, 0, 0, 0x0A, 0x0B, 0x0C,
-                          0x0D, 0, 0, 0, 0));
+              ElementsAre(0x1F, 0xB2, 0xE7, 0x37, 0xFC, 0xED, 0xBC, 0xD9, 0, 0, 0, 0x18, 0, 0, 0, 0, 0x0A,
+                          0x0B, 0x0C, 0x0D, 0, 0, 0, 0));
 }
 
 TEST(Protection, EverySingleBitErrorShowsWithEveryChecksum) {
@@ -258,14 +262,17 @@ TEST(Protection, ErrorsSayWhatTheFrameNeeds) {
   const Message plain = message(8, {whole_bytes("Crc", 0, 1, ByteOrder::Intel), low_nibble("Counter", 1)});
   EXPECT_THAT(error_of(build(message(8, {}), Checksum::SaeJ1850)),
               HasSubstr("message M of x.dbc needs a checksum Crc: 8 bits that fill whole bytes"));
-  EXPECT_THAT(error_of(build(plain, Checksum::E2e5)), HasSubstr("16 bits that fill whole bytes, least significant"));
-  EXPECT_THAT(error_of(build(plain, Checksum::E2e2)), HasSubstr("E2EDataIdList, \"1,2,...\"; it is not there"));
+  EXPECT_THAT(error_of(build(plain, Checksum::E2e5)),
+              HasSubstr("16 bits that fill whole bytes, least significant"));
+  EXPECT_THAT(error_of(build(plain, Checksum::E2e2)),
+              HasSubstr("E2EDataIdList, \"1,2,...\"; it is not there"));
   Message list = plain;
   list.attributes["E2EDataIdList"] = "1,2,300";
   EXPECT_THAT(error_of(build(list, Checksum::E2e2)), HasSubstr("it is '1,2,300'"));
   Message id = plain;
   id.attributes["E2EDataId"] = "65536";
-  EXPECT_THAT(error_of(build(id, Checksum::SaeJ1850)), HasSubstr("E2EDataId is '65536'; expected 0 to 65535"));
+  EXPECT_THAT(error_of(build(id, Checksum::SaeJ1850)),
+              HasSubstr("E2EDataId is '65536'; expected 0 to 65535"));
   const Message misplaced = message(
       16, {whole_bytes("Crc", 8, 4, ByteOrder::Motorola), whole_bytes("Counter", 4, 2, ByteOrder::Motorola)});
   EXPECT_THAT(error_of(build(misplaced, Checksum::E2e4)), HasSubstr("has its counter at byte 2"));

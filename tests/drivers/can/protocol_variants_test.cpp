@@ -1,5 +1,5 @@
-// The same brake over frames of other shapes: CAN FD, one frame or three, every checksum, counters of any width
-// and none. What the protocol promises holds for all of them.
+// The same brake over frames of other shapes: CAN FD, one frame or three, every checksum, counters of any
+// width and none. What the protocol promises holds for all of them.
 
 #include <array>
 #include <optional>
@@ -51,9 +51,11 @@ const std::vector<Variant> kVariants{
     {"Profile5InThreeFrames", Checksum::E2e5, 3, kProfile5, false, 3, true},
     {"Profile7InOneFrame", Checksum::E2e7, 20, kProfile7, true, 1, true},
     {"XorWithAWideCounter", Checksum::Xor, 4,
-     " SG_ Crc : 0|8@1+ (1,0) [0|255] \"\" X\n SG_ AliveCounter : 8|20@1+ (1,0) [0|0] \"\" X\n", false, 3, true},
+     " SG_ Crc : 0|8@1+ (1,0) [0|255] \"\" X\n SG_ AliveCounter : 8|20@1+ (1,0) [0|0] \"\" X\n", false, 3,
+     true},
     {"TwoBitsOfCounter", Checksum::SaeJ1850, 2,
-     " SG_ Crc : 0|8@1+ (1,0) [0|255] \"\" X\n SG_ AliveCounter : 8|2@1+ (1,0) [0|3] \"\" X\n", false, 3, true},
+     " SG_ Crc : 0|8@1+ (1,0) [0|255] \"\" X\n SG_ AliveCounter : 8|2@1+ (1,0) [0|3] \"\" X\n", false, 3,
+     true},
     {"NoCounter", Checksum::SaeJ1850, 1, " SG_ Crc : 0|8@1+ (1,0) [0|255] \"\" X\n", false, 3, false},
     {"NoCounterAndNoChecksum", Checksum::None, 0, "", true, 3, false},
 };
@@ -69,7 +71,8 @@ std::string dbc_of(const Variant& v) {
   std::size_t byte = 0;
   std::string frames, types;
   const auto frame = [&](int id, const char* name, std::size_t payload) {
-    frames += fmt::format("BO_ {} {}: {} X\n{}", id, name, size_for(v.header_bytes + payload), v.header_signals);
+    frames +=
+        fmt::format("BO_ {} {}: {} X\n{}", id, name, size_for(v.header_bytes + payload), v.header_signals);
     byte = v.header_bytes;
   };
   const auto reading = [&](int id, const char* name, const char* scale, const char* range, const char* unit) {
@@ -97,8 +100,8 @@ std::string dbc_of(const Variant& v) {
   std::string attributes;
   for (int id : {256, 384, 385, 386})
     if (apart || id < 385)
-      attributes += fmt::format("BA_ \"E2EDataIdList\" BO_ {0} \"{1},2,3,4,5,6,7,8,9,10,11,12,13,14,15,16\";\n", id,
-                                id - 200);
+      attributes += fmt::format(
+          "BA_ \"E2EDataIdList\" BO_ {0} \"{1},2,3,4,5,6,7,8,9,10,11,12,13,14,15,16\";\n", id, id - 200);
   return "VERSION \"\"\nBU_: X\n" + frames + "BA_DEF_ BO_ \"E2EDataIdList\" STRING;\n" +
          "BA_DEF_DEF_ \"E2EDataIdList\" \"\";\n" + attributes + types;
 }

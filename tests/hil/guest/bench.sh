@@ -30,7 +30,7 @@ bring_up() {
   esac
 }
 
-# start_brake TRACE [FAULT-KIND AT_S DURATION_S]; brake_tables: further tables of its configuration; brake_values: lines
+# start_brake TRACE [FAULT-KIND AT_S DURATION_S]; brake_frames: options for other frames than the shipped ones; brake_tables: further tables of its configuration; brake_values: lines
 # "NAME VALUE" for what has another value than in plant.toml.
 start_brake() {
   trace=$1
@@ -43,7 +43,7 @@ start_brake() {
   fi
   printf '%s\n' "${brake_tables:-}" >>/tmp/plant.toml
   rm -f "$trace"
-  clampd-plant --interface $brake_interface --config /tmp/plant.toml --dbc configs/brake.dbc --realtime $brake_priority \
+  clampd-plant --interface $brake_interface --config /tmp/plant.toml ${brake_frames:---dbc configs/brake.dbc} --realtime $brake_priority \
     --trace "$trace" >>/tmp/plant.log 2>&1 &
   brake_pid=$!
   wait_until 5 "the brake runs" trace_has_rows
@@ -62,7 +62,8 @@ start_station() {
 name = "virtual-bench"
 [can]
 interface = "$station_interface"
-dbc = "/bench/configs/brake.dbc"
+dbc = "${dbc:-/bench/configs/brake.dbc}"
+${can_settings:-}
 [realtime]
 priority = $station_priority
 [limits]

@@ -165,12 +165,13 @@ torque_after() {
 }
 
 # command_after LOG CAUSE_S: milliseconds from the cause to the last frame that asked for torque, and whether one did in
-# the 10 ms before. In the frame BrakeCommand torque is the first two bytes, Enable the lowest bit of the third.
+# the 10 ms before. In the command frame torque is the first two bytes, Enable the lowest bit of the third.
 command_after() {
   awk -v cause="$2" '
     {
       time = substr($1, 2) + 0
       data = substr($3, 5)
+      sub(/^#./, "", data) # CAN FD: "100##1..."
       if (substr(data, 1, 4) == "0000" || substr(data, 5, 2) == "00") next
       if (time > cause) last = time
       else if (time > cause - 0.010) before = 1

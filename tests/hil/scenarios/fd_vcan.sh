@@ -1,0 +1,59 @@
+# A brake that speaks CAN FD, one frame a direction, protected by AUTOSAR's profile 7: a check, the frames of it through
+# `can check`, and faults, each of which ends at zero torque as fast as over classic frames.
+. ./common.sh
+. ./bench.sh
+. ./faults.sh
+dbc=/bench/brake_fd.dbc
+can_settings='data_bitrate = 4000000
+[can.protection]
+checksum = "e2e-7"
+[can.mapping]
+torque_command = "Command.Torque"
+enable = "Command.Enable"
+force = "Feedback.Force"
+velocity = "Feedback.Velocity"
+torque = "Feedback.Torque"
+position = "Feedback.Position"
+sample_clock = "Feedback.Clock"
+enabled = ""
+watchdog = "Feedback.Watchdog"
+fault = "Feedback.Fault"
+counter = "Counter"
+crc = "Crc"'
+printf '[can]\ndbc = "%s"\n%s\n' $dbc "$can_settings" >/tmp/frames.toml
+brake_frames="--station /tmp/frames.toml"
+
+expect "vcan0 exists" ip link add dev vcan0 type vcan
+ip link set vcan0 mtu 16
+use_vcan_as_it_is() {
+  expect "vcan0 is up" bring_up vcan0
+  station_interface=vcan0
+  brake_interface=vcan0
+}
+use_vcan_as_it_is
+code=0
+clampd-plant --interface vcan0 --config plant.toml $brake_frames >/tmp/refused 2>&1 || code=$?
+expect "a bus without CAN FD is refused" [ $code = 2 ]
+expect "the refusal says what to do" grep -q "vcan0 is not set up for CAN FD.*mtu 72" /tmp/refused
+ip link set vcan0 down
+ip link set vcan0 mtu 72
+use_vcan_as_it_is
+
+start_brake /tmp/trace.csv
+start_station
+wait_for_idle
+candump -L vcan0,180:7FF >/tmp/frames.log &
+log_pid=$!
+measure_approach
+kill $log_pid
+clampctl --config /tmp/station.toml can check /tmp/frames.log >/tmp/can_check 2>&1 || fail "can check: $(cat /tmp/can_check)"
+expect "can check understands the brake" grep -q "understands this brake" /tmp/can_check
+check full 20
+expect_pass full
+echo "timing: $(json_get /tmp/full.json /timing)"
+expect "no period skipped" [ "$(json_get /tmp/full.json /timing/skipped)" = 0 ]
+expect "no sample lost" [ "$(json_get /tmp/full.json /timing/lost_samples)" = 0 ]
+fault "plant killed" 'cause kill 9 $brake_pid' 'start_brake /tmp/trace_2.csv'
+scripted_fault corrupt-crc
+scripted_fault frozen-counter
+scripted_fault impossible-values
