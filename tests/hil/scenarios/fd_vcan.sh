@@ -23,21 +23,17 @@ crc = "Crc"'
 printf '[can]\ndbc = "%s"\n%s\n' $dbc "$can_settings" >/tmp/frames.toml
 brake_frames="--station /tmp/frames.toml"
 
-expect "vcan0 exists" ip link add dev vcan0 type vcan
-ip link set vcan0 mtu 16
-use_vcan_as_it_is() {
-  expect "vcan0 is up" bring_up vcan0
-  station_interface=vcan0
-  brake_interface=vcan0
-}
-use_vcan_as_it_is
+use_vcan
+ip link set vcan0 down
+ip link set vcan0 mtu 16 # classic frames only
+expect "vcan0 is up for classic frames" bring_up vcan0
 code=0
 clampd-plant --interface vcan0 --config plant.toml $brake_frames >/tmp/refused 2>&1 || code=$?
 expect "a bus without CAN FD is refused" [ $code = 2 ]
 expect "the refusal says what to do" grep -q "vcan0 is not set up for CAN FD.*mtu 72" /tmp/refused
 ip link set vcan0 down
 ip link set vcan0 mtu 72
-use_vcan_as_it_is
+expect "vcan0 is up for CAN FD" bring_up vcan0
 
 start_brake /tmp/trace.csv
 start_station
