@@ -181,7 +181,16 @@ void CheckSequence::judge_stiffness() noexcept {
     unproven_ = FaultCause::ForceReading;
 }
 
+/// On the way to a run that is not needed any more.
+bool CheckSequence::is_concluded_between_runs() const noexcept {
+  return concluded_ && repeat_ > 0 && (stage_ == Stage::Return || stage_ == Stage::Settle);
+}
+
 double CheckSequence::decide(const BrakeFeedback& feedback) noexcept {
+  if (is_concluded_between_runs()) {
+    --repeat_;  // the last run that there was
+    enter(Stage::Release);
+  }
   switch (stage_) {
     case Stage::Open:
       return open();
@@ -333,7 +342,7 @@ double CheckSequence::track() noexcept {
   if (next >= rows.size()) {
     judge_stiffness();
     ++repeat_;
-    const bool again = repeat_ < plan_->repeats;
+    const bool again = repeat_ < plan_->repeats && !concluded_;
     if (!again) --repeat_;
     enter(again ? Stage::Return : Stage::Release);
     return again ? move_to_start() : release();

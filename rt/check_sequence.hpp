@@ -62,6 +62,9 @@ class CheckSequence {
   /// `plan` must stay alive and unchanged until done() or abandon(); its reference must not be empty.
   CLAMPD_REALTIME void start(const CheckPlan* plan) noexcept;
   CLAMPD_REALTIME SequenceOutput step(const BrakeFeedback& feedback) noexcept;
+  /// The runs so far are enough: a run that is under way is ended, another does not begin, the brake is
+  /// released. Before the first run is over it means nothing.
+  CLAMPD_REALTIME void conclude() noexcept { concluded_ = true; }
   CLAMPD_REALTIME void abandon() noexcept;
   CLAMPD_REALTIME bool done() const noexcept { return done_; }
 
@@ -86,6 +89,7 @@ class CheckSequence {
   CLAMPD_REALTIME double settle() noexcept;
   CLAMPD_REALTIME double track() noexcept;
   CLAMPD_REALTIME double release() noexcept;
+  CLAMPD_REALTIME bool is_concluded_between_runs() const noexcept;
   CLAMPD_REALTIME void enter(Stage stage) noexcept;
   CLAMPD_REALTIME CheckPhase phase() const noexcept;
   CLAMPD_REALTIME std::int64_t samples_in_stage() const noexcept { return index_ - stage_start_; }
@@ -95,6 +99,7 @@ class CheckSequence {
   Stage stage_ = Stage::Done;
   bool done_ = false;
   bool started_ = false;  ///< a sample was seen since start()
+  bool concluded_ = false;
   std::int64_t index_ = 0;
   std::int64_t stage_start_ = 0;
   std::int64_t trajectory_start_ = 0;

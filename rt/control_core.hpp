@@ -89,6 +89,9 @@ struct RequestBoard {
   std::atomic<bool> emergency_stop{false};      ///< level, not edge: FAULT persists while true
   std::atomic<bool> clear{false};               ///< operator clears the fault; ignored unless clearable
   std::atomic<const CheckPlan*> plan{nullptr};  ///< given by start() only, taken by the tick
+  /// The check whose runs are enough, by the number that checks_finished will have after it: it begins no
+  /// further run. Numbers never come again, so that this is never about another check.
+  std::atomic<std::uint64_t> enough_runs_in{0};
 
   /// An operator stop: ends a check, and voids every start that was asked for before. Any thread. It has
   /// taken effect once StatusBoard::stops has reached what this returns.
@@ -271,6 +274,7 @@ class BasicControlCore {
     SequenceOutput output;
     if (supervisor_.sequence_runs()) {
       if (!ran) sequence_.start(plan_);
+      if (requests_.enough_runs_in.load(std::memory_order_relaxed) == finished_ + 1) sequence_.conclude();
       output = sequence_.step(feedback);
       torque_Nm_ = output.torque_Nm;
       supervisor_.raise(output.fault);

@@ -126,6 +126,7 @@ Result<CheckProgress> Client::progress(bool colour) const {
     document->at("phase").get_to(progress.phase);
     document->at("repeat").get_to(progress.repeat);
     document->at("repeats").get_to(progress.repeats);
+    progress.repeats_auto = document->value("repeats_auto", false);  // an older daemon has none
     document->at("table").get_to(progress.table);
     progress.record = document->at("record");
     return progress;

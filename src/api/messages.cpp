@@ -27,11 +27,17 @@ std::string trimmed(const std::string& text) {
 }
 
 Result<void> read_repeats(const nlohmann::json& value, CheckRequest& request) {
+  if (value.is_string() && value.get<std::string>() == "auto") {
+    request.repeats_auto = true;
+    return {};
+  }
   const bool whole = value.is_number_unsigned();  // never negative, no fraction, not true
   if (!whole || value.get<std::uint64_t>() < 1 || value.get<std::uint64_t>() > kMaxRepeats)
-    return failure(fmt::format(
-        "repeats must be a whole number from 1 to {}; leave it out for as many as the station is set to",
-        kMaxRepeats));
+    return failure(
+        fmt::format("repeats must be a whole number from 1 to {}, or \"auto\" for as many as the brake "
+                    "needs; leave it out for what "
+                    "the station is set to",
+                    kMaxRepeats));
   request.repeats = value.get<std::uint32_t>();
   return {};
 }
@@ -58,7 +64,10 @@ nlohmann::ordered_json check_request_json(const CheckRequest& request) {
   nlohmann::ordered_json document = nlohmann::ordered_json::object();
   for (const auto& [key, member] : kTexts)
     if (key != "operator_name" && !(request.*member).empty()) document[std::string(key)] = request.*member;
-  if (request.repeats > 0) document["repeats"] = request.repeats;
+  if (request.repeats_auto)
+    document["repeats"] = "auto";
+  else if (request.repeats > 0)
+    document["repeats"] = request.repeats;
   return document;
 }
 
@@ -75,9 +84,15 @@ Result<CheckRequest> parse_check_request(const std::string& body) {
 }
 
 nlohmann::ordered_json progress_json(const CheckProgress& progress) {
-  return {{"check", progress.check},   {"id", progress.id},         {"finished", progress.finished},
-          {"phase", progress.phase},   {"repeat", progress.repeat}, {"repeats", progress.repeats},
-          {"record", progress.record}, {"table", progress.table}};
+  return {{"check", progress.check},
+          {"id", progress.id},
+          {"finished", progress.finished},
+          {"phase", progress.phase},
+          {"repeat", progress.repeat},
+          {"repeats", progress.repeats},
+          {"repeats_auto", progress.repeats_auto},
+          {"record", progress.record},
+          {"table", progress.table}};
 }
 
 }  // namespace clampd::api

@@ -27,7 +27,7 @@ constexpr const char* kFirstColumns =
     "noise_torque_Nm, "
     "cause, torque_while_off, tare_force_N, tare_force_sd_N, tare_velocity_rad_s, tare_velocity_sd_rad_s";
 
-/// Format 2, of today.
+/// Format 3, of today: with all that later ones added to `checks`.
 constexpr std::array<DigestedTable, 5> kTables{{
     {"checks", "", "id = ?"},
     {"parameters", "position, name, unit, value, sd, lower, upper, verdict",
@@ -76,13 +76,16 @@ int append_rows(std::string& text, SQLite::Statement& statement) {
 }  // namespace
 
 ContentDigest::ContentDigest(SQLite::Database& database)
-    // A check of format 1 that has what came later was changed.
+    // A check of an older format that has what came later was changed.
     : first_checks_(database,
-                    fmt::format("SELECT {} FROM checks WHERE id = ? AND systematic = ''", kFirstColumns)),
+                    fmt::format("SELECT {} FROM checks WHERE id = ? AND systematic = '' AND stopping = ''",
+                                kFirstColumns)),
+      second_checks_(database, fmt::format("SELECT {}, systematic FROM checks WHERE id = ? AND stopping = ''",
+                                           kFirstColumns)),
       amendment_(database, "SELECT id, check_id, kind, made, content FROM amendments WHERE id = ?") {
   for (const DigestedTable& table : kTables) {
     const std::string columns =
-        table.columns[0] != '\0' ? table.columns : fmt::format("{}, systematic", kFirstColumns);
+        table.columns[0] != '\0' ? table.columns : fmt::format("{}, systematic, stopping", kFirstColumns);
     tables_.push_back(
         {table.name, SQLite::Statement(database, fmt::format("SELECT {} FROM {} WHERE {}", columns,
                                                              table.name, table.condition))});
@@ -93,7 +96,10 @@ std::optional<std::string> ContentDigest::of_check(const std::string& id, int fo
   std::string text;
   for (Table& table : tables_) {
     const bool is_check = &table == &tables_.front();
-    SQLite::Statement& rows = is_check && format == 1 ? first_checks_ : table.rows;
+    SQLite::Statement& rows = !is_check     ? table.rows
+                              : format == 1 ? first_checks_
+                              : format == 2 ? second_checks_
+                                            : table.rows;
     text += fmt::format("[{}]\n", table.name);
     rows.bind(1, id);
     if (append_rows(text, rows) == 0 && is_check) return std::nullopt;

@@ -27,8 +27,9 @@ class ContentDigest {
     std::string name;
     SQLite::Statement rows;
   };
-  std::vector<Table> tables_;       ///< the first one is `checks`
-  SQLite::Statement first_checks_;  ///< the same of format 1
+  std::vector<Table> tables_;        ///< the first one is `checks`
+  SQLite::Statement first_checks_;   ///< the same of format 1
+  SQLite::Statement second_checks_;  ///< of format 2
   SQLite::Statement amendment_;
 };
 
@@ -43,7 +44,7 @@ struct ChainLink {
 };
 
 /// What the columns of contents are: another format where a later version stores more.
-inline constexpr int kChainFormat = 2;
+inline constexpr int kChainFormat = 3;
 
 /// The link's own SHA-256: over all of it and the one before.
 std::string link_sha256(const ChainLink& link, const std::string& chain_before);

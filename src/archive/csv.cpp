@@ -60,7 +60,7 @@ std::string format_csv(const std::vector<CheckRecord>& checks) {
     for (const char* column : {"", " sd", " lower", " upper"})
       text += "," + cell(fmt::format("{}{} [{}]", name, column, unit));
   for (const auto& [name, unit] : names) text += "," + cell(name + " verdict");
-  text += ",void,misfit_marked";
+  text += ",void,misfit_marked,stopped_because";
   text += "\r\n";
   for (const CheckRecord& c : checks) {
     std::string cause;
@@ -108,6 +108,7 @@ std::string format_csv(const std::vector<CheckRecord>& checks) {
     row.insert(row.end(), verdicts.begin(), verdicts.end());
     row.push_back(c.voided ? cell(c.voided->reason) : "");
     row.push_back(!c.systematic ? "" : c.systematic->marked ? "1" : "0");
+    row.push_back(c.stopping ? cell(c.stopping->reason) : "");
     text += fmt::format("{}\r\n", fmt::join(row, ","));
   }
   return text;

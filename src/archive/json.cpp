@@ -73,6 +73,15 @@ ordered_json systematic_json(const std::optional<SystematicRecord>& systematic) 
           {"moved_sd", number_or_null(systematic->moved_sd)}};
 }
 
+/// Null where the number of repeats was fixed.
+ordered_json stopping_json(const std::optional<StoppingRecord>& stopping) {
+  if (!stopping) return nullptr;
+  return {{"rule", "auto"},
+          {"most", stopping->most},
+          {"coverage_factor", number_or_null(stopping->coverage_factor)},
+          {"reason", stopping->reason}};
+}
+
 }  // namespace
 
 ordered_json cause_json(const CauseRecord& cause) {
@@ -107,6 +116,7 @@ ordered_json check_json(const CheckRecord& record) {
           {"duration_s", number_or_null(record.duration_s)},
           {"cause", record.cause ? cause_json(*record.cause) : ordered_json(nullptr)},
           {"systematic_misfit", systematic_json(record.systematic)},
+          {"stopping", stopping_json(record.stopping)},
           {"record", record.id},
           {"stopped", record.stopped},
           {"simulated", record.simulated},

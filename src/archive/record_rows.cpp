@@ -58,7 +58,24 @@ std::optional<SystematicRecord> systematic_from(const std::string& text) {
                           systematic.at("moved_sd").get<double>(), systematic.at("marked").get<bool>()};
 }
 
-constexpr int kCheckColumns = 42;
+/// Empty where the number of repeats was fixed.
+std::string stopping_text(const std::optional<StoppingRecord>& stopping) {
+  return stopping ? nlohmann::json{{"most", stopping->most},
+                                   {"coverage_factor", stopping->coverage_factor},
+                                   {"reason", stopping->reason}}
+                        .dump()
+                  : "";
+}
+
+std::optional<StoppingRecord> stopping_from(const std::string& text) {
+  if (text.empty()) return std::nullopt;
+  const nlohmann::json stopping = nlohmann::json::parse(text);
+  return StoppingRecord{stopping.at("most").get<std::uint32_t>(),
+                        stopping.at("coverage_factor").get<double>(),
+                        stopping.at("reason").get<std::string>()};
+}
+
+constexpr int kCheckColumns = 43;
 /// Microseconds; the loop keeps a few thousand.
 constexpr std::size_t kMaxHistogramBins = 1'000'000;
 
@@ -73,7 +90,7 @@ void insert_check(SQLite::Database& database, const CheckRecord& r) {
       << r.timing.lateness_min_us << r.timing.lateness_avg_us << r.timing.lateness_max_us << r.timing.bus_load
       << r.method << r.noise_torque_Nm << cause_text(r.cause) << torque_while_off_text(r.torque_while_off)
       << r.tare_force_N << r.tare_force_sd_N << r.tare_velocity_rad_s << r.tare_velocity_sd_rad_s
-      << systematic_text(r.systematic);
+      << systematic_text(r.systematic) << stopping_text(r.stopping);
   row.insert();
 }
 
@@ -205,7 +222,7 @@ void insert_record(SQLite::Database& database, const CheckRecord& record) {
 }
 
 void read_check(SQLite::Statement& statement, CheckRecord& r) {
-  std::string covariance, cause, torque_while_off, systematic;
+  std::string covariance, cause, torque_while_off, systematic, stopping;
   Columns columns(statement);
   columns >> r.id >> r.serial >> r.part_number >> r.batch >> r.station >> r.fixture >> r.operator_name >>
       r.software_version >> r.limits_file >> r.limits_revision >> r.limits_sha256 >> r.trajectory_sha256 >>
@@ -214,7 +231,8 @@ void read_check(SQLite::Statement& statement, CheckRecord& r) {
       r.tracking_rms_N >> r.timing.ticks >> r.timing.skipped >> r.timing.lost_samples >>
       r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >>
       r.method >> r.noise_torque_Nm >> cause >> torque_while_off >> r.tare_force_N >> r.tare_force_sd_N >>
-      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic;
+      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic >> stopping;
+  r.stopping = stopping_from(stopping);
   r.systematic = systematic_from(systematic);
   r.cause = cause_from(cause);
   r.torque_while_off = torque_while_off_from(torque_while_off);

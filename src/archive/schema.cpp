@@ -14,7 +14,7 @@ constexpr int kApplicationId = 0x636c6d70;
 constexpr int kFirstWithApplicationId = 7;
 
 /// Step i brings a database of version i to i + 1 (PRAGMA user_version). Steps are never changed, only added.
-constexpr std::array<const char*, 9> kMigrations{
+constexpr std::array<const char*, 11> kMigrations{
     R"sql(
 CREATE TABLE checks (
   id TEXT PRIMARY KEY NOT NULL,
@@ -108,6 +108,11 @@ PRAGMA application_id = 1668050288;
     "",
     R"sql(
 ALTER TABLE checks ADD COLUMN systematic TEXT NOT NULL DEFAULT '';
+)sql",
+    // Version 10 was the same.
+    "",
+    R"sql(
+ALTER TABLE checks ADD COLUMN stopping TEXT NOT NULL DEFAULT '';
 )sql"};
 
 /// All tables are there, but checks of an older version are not all in the chain yet.

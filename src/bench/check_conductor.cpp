@@ -103,7 +103,7 @@ Result<void> CheckConductor::begin(const CheckRequest& request, const rt::StartT
 
   take_samples();
   plan_.open_only = false;
-  plan_.repeats = request.repeats > 0 ? static_cast<std::uint16_t>(request.repeats) : station_.plan.repeats;
+  plan_.repeats = static_cast<std::uint16_t>(planned_repeats(request, station_.configuration.check).most);
   plan_.deadline_s = deadline_of(station_, plan_.repeats);
   CheckContext context;
   context.trajectory_rows = plan_.reference.rows.size();
@@ -153,6 +153,8 @@ std::optional<CheckRecord> CheckConductor::pump(Instant now) {
   const bool finished = busy() && !concluding() &&
                         core_.status().checks_finished.load(std::memory_order_acquire) != finished_before_;
   take_samples();
+  if (session_ && session_->has_enough())
+    core_.requests().enough_runs_in.store(finished_before_ + 1, std::memory_order_relaxed);
   if (finished && opening_.under_way) {
     end_opening(outcome_at(now));
   } else if (finished && mode_ == WorkerMode::Synchronous) {

@@ -204,7 +204,7 @@ rt::CheckPlan check_plan(const StationConfiguration& configuration, Reference re
   rt::CheckPlan plan;
   plan.reference = std::move(reference);
   plan.drive = nominal_drive(configuration.model);
-  plan.repeats = static_cast<std::uint16_t>(check.repeats);
+  plan.repeats = static_cast<std::uint16_t>(check.repeats_planned());
   plan.tare_s = check.tare_s;
   plan.approach_velocity_rad_s = check.approach_velocity_rad_s;
   plan.contact_force_N = check.contact_force_N;
@@ -223,13 +223,14 @@ namespace {
 Result<void> check_deadline(const StationConfiguration& configuration, const rt::CheckPlan& plan) {
   const CheckSettings& check = configuration.check;
   const double least_s =
-      check.tare_s +
-      check.repeats * (static_cast<double>(plan.reference.rows.size()) * kPeriod_s + check.settle_s);
+      check.tare_s + check.repeats_planned() *
+                         (static_cast<double>(plan.reference.rows.size()) * kPeriod_s + check.settle_s);
   if (least_s < check.deadline_s) return {};
-  return failure(fmt::format(
-      "{}check.deadline_s = {:g} is too short for {} repeats, which take {:.0f} s and the "
-      "ways between them: allow more time or ask for fewer",
-      configuration.file.empty() ? "" : configuration.file + ": ", check.deadline_s, check.repeats, least_s));
+  return failure(
+      fmt::format("{}check.deadline_s = {:g} is too short for {} repeats, which take {:.0f} s and the "
+                  "ways between them: allow more time or ask for fewer",
+                  configuration.file.empty() ? "" : configuration.file + ": ", check.deadline_s,
+                  check.repeats_planned(), least_s));
 }
 
 }  // namespace

@@ -298,6 +298,7 @@ api::StationStatus Daemon::status() {
   status.phase = std::string(to_string(board.phase.load()));
   status.repeat = board.repeat.load();
   status.repeats = conductor_.progress().repeats;
+  status.repeats_auto = conductor_.progress().repeats_auto;
   status.serial = conductor_.serial();
   status.check = check_number_;
   status.id = conductor_.id();
@@ -362,7 +363,7 @@ rt::StartTicket Daemon::ticket() const {
 }
 
 Result<api::StartedCheck> Daemon::start(const CheckRequest& request, const rt::StartTicket& ticket,
-                                            std::optional<std::uint64_t> stops_seen) {
+                                        std::optional<std::uint64_t> stops_seen) {
   const Result<rt::StartTicket> asked = ticket_of(ticket, stops_seen);
   if (!asked) return tl::unexpected(asked.error());
   const std::lock_guard lock(mutex_);
@@ -419,6 +420,7 @@ api::CheckProgress Daemon::progress(bool colour) {
   progress.phase = std::string(to_string(core_.status().phase.load()));
   progress.repeat = core_.status().repeat.load();
   progress.repeats = conductor_.progress().repeats;
+  progress.repeats_auto = conductor_.progress().repeats_auto;
   if (last_record_) {
     progress.record = check_json(*last_record_);
     progress.table = format_check(*last_record_, colour);

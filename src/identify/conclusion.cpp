@@ -21,7 +21,6 @@ using identify::Held;
 using identify::kTheta;
 using identify::Uncertainty;
 
-
 /// A standard deviation of so many times the nominal value: the runs say nothing about the parameter, and the
 /// linear covariance itself means nothing any more.
 constexpr double kUndetermined = 3.0;
@@ -31,36 +30,44 @@ constexpr double kUndetermined = 3.0;
 constexpr double kFewestDegrees = 4.0;
 constexpr double kManyDegrees = 1e6;
 
-/// Probability of calling runs different that are not.
-constexpr double kRunsDiffer = 1e-3;
-
-/// Whether the runs' own scores scatter more than the noise explains: a chi-square test of the one covariance
-/// against the other.
-bool runs_differ(const Uncertainty& uncertainty, const Held& held, std::size_t runs) {
-  if (!uncertainty.covariance_over_runs.allFinite()) return false;
+/// Chance that the runs' own scores scatter as much as they do by the noise alone: a chi-square test of the
+/// one covariance against the other. 1 for a single run.
+double runs_agree_p(const Uncertainty& uncertainty, const Held& held, std::size_t runs) {
+  if (!uncertainty.covariance_over_runs.allFinite()) return 1.0;
   ParameterMatrix expected = uncertainty.covariance;
   for (int i = 0; i < kTheta; ++i)
     if (held[static_cast<std::size_t>(i)]) expected(i, i) = 1.0;
   const double free = static_cast<double>(std::count(held.begin(), held.end(), false));
   const double degrees = static_cast<double>(runs - 1);
-  const double statistic = degrees * statistics::SymmetricFactor(expected).solve_columns(uncertainty.covariance_over_runs).trace();
-  return statistic > statistics::chi_squared_upper_quantile(kRunsDiffer, degrees * free);
+  const double statistic =
+      degrees * statistics::SymmetricFactor(expected).solve_columns(uncertainty.covariance_over_runs).trace();
+  return statistics::chi_squared_p_value(statistic, degrees * free);
 }
 
-/// The covariance, its standard deviations as much larger as the torque's noise is uncertain that they rest
-/// on: value ± 1.96 of them is then the 95 % interval of Student's t with the degrees of freedom that Welch
-/// and Satterthwaite's formula gives (GUM, annex G.4). One run tells the torque's noise badly, and where it
-/// seems small by chance, all uncertainties do. The correlations stay.
-ParameterMatrix with_uncertain_noise(const Uncertainty& uncertainty, double torque_spread) {
-  ParameterVector factor = ParameterVector::Ones();
+/// Of the standard deviations, where part of their variance is the torque's noise, estimated from the same
+/// runs (Welch and Satterthwaite's formula, GUM, annex G.4).
+ParameterVector degrees_of_freedom(const Uncertainty& uncertainty, double torque_spread) {
+  ParameterVector degrees = ParameterVector::Constant(std::numeric_limits<double>::infinity());
   for (int i = 0; i < kTheta; ++i) {
     const double variance = uncertainty.covariance(i, i);
     const double by_torque = variance - uncertainty.covariance_exact_torque(i, i);
     if (!(by_torque > 0.0 && torque_spread > 0.0)) continue;
     const double share = by_torque / variance;
-    const double degrees = std::clamp(2.0 / (share * share * torque_spread), kFewestDegrees, kManyDegrees);
-    factor[i] = statistics::student_t_upper_quantile(0.025, degrees) / statistics::normal_quantile(0.975);
+    degrees[i] = std::clamp(2.0 / (share * share * torque_spread), kFewestDegrees, kManyDegrees);
   }
+  return degrees;
+}
+
+/// The covariance, its standard deviations as much larger as the torque's noise is uncertain that they rest
+/// on: value ± 1.96 of them is then the 95 % interval of Student's t with these degrees of freedom. One run
+/// tells the torque's noise badly, and where it seems small by chance, all uncertainties do. The correlations
+/// stay.
+ParameterMatrix with_uncertain_noise(const Uncertainty& uncertainty, const ParameterVector& degrees) {
+  ParameterVector factor = ParameterVector::Ones();
+  for (int i = 0; i < kTheta; ++i)
+    if (std::isfinite(degrees[i]))
+      factor[i] =
+          statistics::student_t_upper_quantile(0.025, degrees[i]) / statistics::normal_quantile(0.975);
   return factor.asDiagonal() * uncertainty.covariance * factor.asDiagonal();
 }
 
@@ -235,11 +242,18 @@ void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& v
         fmt::format("not identifiable from these data: {}; excite the brake more, or hold what is known",
                     unknown));
   }
-  estimate.runs_differ = runs_differ(uncertainty, options.held, fit.linear_runs().size());
-  estimate.covariance_normalised = estimate.runs_differ ? uncertainty.covariance_over_runs
-                                                        : with_uncertain_noise(uncertainty, torque_spread);
+  const std::size_t runs = fit.linear_runs().size();
+  const bool is_scatter_known = runs >= identify::kFewestRunsForScatter;
+  estimate.runs_agree_p = runs_agree_p(uncertainty, options.held, runs);
+  estimate.runs_differ = is_scatter_known && estimate.runs_agree_p < kRunsDiffer;
+  estimate.degrees_of_freedom = estimate.runs_differ
+                                    ? ParameterVector::Constant(static_cast<double>(runs - 1)).eval()
+                                    : degrees_of_freedom(uncertainty, torque_spread);
+  estimate.covariance_normalised = estimate.runs_differ
+                                       ? uncertainty.covariance_over_runs
+                                       : with_uncertain_noise(uncertainty, estimate.degrees_of_freedom);
   estimate.covariance_exact_torque = uncertainty.covariance_exact_torque;
-  estimate.covariance_over_runs = uncertainty.covariance_over_runs;
+  if (is_scatter_known) estimate.covariance_over_runs = uncertainty.covariance_over_runs;
   estimate.offset_sensitivity = uncertainty.offset_sensitivity;
   if (!settled)
     return end(Termination::IterationLimit,

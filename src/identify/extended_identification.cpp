@@ -28,10 +28,8 @@ namespace {
 
 using Role = EffectParameter::Role;
 
-
 /// As in conclude(): of the nominal value.
 constexpr double kUndetermined = 3.0;
-constexpr double kRunsDiffer = 1e-3;
 constexpr std::size_t kFewestRunsForScatter = 8;
 
 /// Information, each parameter scaled to one of its own, below which a direction is not determined.
@@ -208,6 +206,7 @@ class Precision {
     return std::find(set_aside_.begin(), set_aside_.end(), p) != set_aside_.end();
   }
   bool runs_differ() const { return runs_differ_; }
+  double runs_agree_p() const { return runs_agree_p_; }
 
   /// Of parameters p and q of ExtendedBrake, SI; 0 where one is held.
   double covariance(int p, int q) const { return entry(runs_differ_ ? scatter_ : covariance_, p, q); }
@@ -255,7 +254,8 @@ class Precision {
       Eigen::Index worst = 0;
       if (information.diagonal().minCoeff(&worst) > 0.0) {
         const Eigen::VectorXd scale = information.diagonal().cwiseSqrt();
-        const statistics::Spectrum spectrum = statistics::spectrum_of(statistics::scaled_by(information, scale));
+        const statistics::Spectrum spectrum =
+            statistics::spectrum_of(statistics::scaled_by(information, scale));
         if (spectrum.values[0] > kSingularExtended) {
           const Eigen::MatrixXd directions = scale.cwiseInverse().asDiagonal() * spectrum.vectors;
           covariance_ = directions * spectrum.values.cwiseInverse().asDiagonal() * directions.transpose();
@@ -322,11 +322,12 @@ class Precision {
     }
   }
 
-  /// Covariance by the scatter of the runs' own scores, and whether it exceeds what the noise explains.
+  /// Covariance by the scatter of the runs' own scores, and whether it exceeds what the noise explains. A few
+  /// runs tell the second, but not the first.
   void find_scatter() {
     const std::vector<FitRun>& runs = extension_.runs();
     const std::size_t size = free_.size();
-    if (runs.size() < kFewestRunsForScatter || runs.size() <= size || size == 0) return;
+    if (runs.size() < 2 || size == 0) return;
     Eigen::MatrixXd own(covariance_.rows(), static_cast<Eigen::Index>(runs.size()));
     for (std::size_t r = 0; r < runs.size(); ++r) {
       ExtendedEstimate of_run = extension_.estimate();
@@ -337,10 +338,12 @@ class Precision {
     own.colwise() -= own.rowwise().mean().eval();
     const Eigen::MatrixXd squares = own * own.transpose();
     const auto count = static_cast<double>(runs.size());
-    scatter_ = count / (count - 1.0) * covariance_ * squares * covariance_;
     const double statistic = count * (covariance_ * squares).trace();
     const double degrees = (count - 1.0) * static_cast<double>(size);
-    runs_differ_ = statistic > statistics::chi_squared_upper_quantile(kRunsDiffer, degrees);
+    runs_agree_p_ = statistics::chi_squared_p_value(statistic, degrees);
+    if (runs.size() < kFewestRunsForScatter || runs.size() <= size) return;
+    scatter_ = count / (count - 1.0) * covariance_ * squares * covariance_;
+    runs_differ_ = runs_agree_p_ < kRunsDiffer;
   }
 
   const Extension& extension_;
@@ -352,6 +355,7 @@ class Precision {
   std::string unknown_;
   Eigen::MatrixXd covariance_, scatter_, offsets_;  ///< of the free ones
   bool runs_differ_ = false;
+  double runs_agree_p_ = 1.0;
 };
 
 /// One-step prediction errors.
@@ -498,6 +502,9 @@ Estimate identify_extended(std::span<const Run> runs, const ExtendedParameters& 
   if (!precision.possible())
     return end(Termination::NumericalFailure, "the fit says nothing about any parameter");
   estimate.runs_differ = precision.runs_differ();
+  estimate.runs_agree_p = precision.runs_agree_p();
+  if (estimate.runs_differ)
+    estimate.degrees_of_freedom.setConstant(static_cast<double>(extension.runs().size() - 1));
   fill_base(precision, options.held, estimate);
   fill_effects(extension, precision, estimate);
   if (!precision.unknown().empty())

@@ -9,9 +9,6 @@ namespace clampd::identify {
 
 namespace {
 
-/// Fewer clusters do not span seven parameters.
-constexpr std::size_t kFewestRunsForScatter = 8;
-
 /// Of torque noise in the variances; less has no noticeable second-order effect either.
 constexpr double kNoticeableShare = 0.2;
 constexpr std::uint64_t kCurvatureSeed = 1;
@@ -96,7 +93,7 @@ Uncertainty uncertainty_of(JointFit& fit, const Variances& variances, const Held
     const ParameterVector bias = inverse * score;
     result.covariance += bias * bias.transpose();
   }
-  if (runs.size() >= kFewestRunsForScatter) {
+  if (runs.size() > 1) {
     const auto count = static_cast<double>(runs.size());
     result.covariance_over_runs = count / (count - 1.0) * inverse * scatter * inverse;
   } else {

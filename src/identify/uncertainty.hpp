@@ -1,14 +1,19 @@
 #pragma once
 
+#include <cstddef>
+
 #include "src/identify/joint_fit.hpp"
 
 namespace clampd::identify {
+
+/// Fewer runs do not span seven parameters: their scatter tells that they differ, but is no covariance.
+inline constexpr std::size_t kFewestRunsForScatter = 8;
 
 struct Uncertainty {
   ParameterMatrix information;              ///< under the weights of the fit
   ParameterMatrix covariance;               ///< under `variances`
   ParameterMatrix covariance_exact_torque;  ///< the same without torque noise
-  ParameterMatrix covariance_over_runs;     ///< from the scatter of the runs' scores
+  ParameterMatrix covariance_over_runs;     ///< from the scatter of the runs' scores; NaN for a single run
   OffsetSensitivity offset_sensitivity;
 };
 

@@ -4,10 +4,15 @@
 
 namespace clampd {
 
-std::vector<Run> runs_of(const CheckRecord& record) {
+std::vector<Run> runs_of(const std::vector<RunRecord>& records) {
   std::vector<Run> runs;
-  for (const RunRecord& run : record.runs) runs.push_back(run.run);
+  runs.reserve(records.size());
+  for (const RunRecord& record : records) runs.push_back(record.run);
   return runs;
+}
+
+std::vector<Run> runs_of(const CheckRecord& record) {
+  return runs_of(record.runs);
 }
 
 DiagnoseOptions diagnose_options(const CheckRecord& record, const BrakeParameters& nominal) {

@@ -11,6 +11,7 @@
 
 #include <fmt/format.h>
 
+#include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/text.hpp"
 #include "src/station/table_reader.hpp"
@@ -238,8 +239,22 @@ void read_supervisor(TableReader& reader, SupervisorSettings& s) {
   reader.boolean("drive_reports_live", s.drive_reports_live);
 }
 
+/// `repeats`: a number, or the word for as many as the brake needs.
+void read_repeats(TableReader& reader, const toml::table& table, CheckSettings& c) {
+  reader.integer("repeats_most", c.repeats_most, kFewestRepeats, 200);
+  const toml::node* repeats = table.get("repeats");
+  if (repeats == nullptr || !repeats->is_string()) return reader.integer("repeats", c.repeats, 1, 200);
+  std::string word;
+  reader.text("repeats", word);
+  c.repeats_auto = word == "auto";
+  if (!c.repeats_auto)
+    reader.refuse(
+        repeats->source(),
+        "check.repeats must be a whole number from 1 to 200, or \"auto\" for as many as the brake needs");
+}
+
 void read_check(TableReader& reader, const toml::table& table, const std::string& folder, CheckSettings& c) {
-  reader.integer("repeats", c.repeats, 1, 200);
+  read_repeats(reader, table, c);
   reader.path("trajectory", c.trajectory, folder);
   reader.number("tare_s", c.tare_s, 0.05, 10.0);
   reader.number("approach_velocity_rad_s", c.approach_velocity_rad_s, 1.0, 100.0);

@@ -55,6 +55,13 @@ EstimatorOptions estimator_options(const StationConfiguration& configuration) {
   return options;
 }
 
+/// Over all runs; 0 without any.
+double tracking_rms_N(const std::vector<RunRecord>& runs) {
+  double squares = 0.0;
+  for (const RunRecord& run : runs) squares += run.tracking_rms_N * run.tracking_rms_N;
+  return runs.empty() ? 0.0 : std::sqrt(squares / static_cast<double>(runs.size()));
+}
+
 struct ExpectedResidual {
   double force_N = 0.0;
   double velocity_rad_s = 0.0;
@@ -94,6 +101,12 @@ CheckRequest normalised(CheckRequest request) {
   return request;
 }
 
+PlannedRepeats planned_repeats(const CheckRequest& request, const CheckSettings& settings) {
+  if (request.repeats > 0) return {request.repeats, false};
+  const bool automatic = request.repeats_auto || settings.repeats_auto;
+  return {automatic ? settings.repeats_most : settings.repeats, automatic};
+}
+
 Result<void> validate(const CheckRequest& asked) {
   const CheckRequest request = normalised(asked);
   const auto check = [](std::string_view what, const std::string& text) -> Result<void> {
@@ -108,6 +121,10 @@ Result<void> validate(const CheckRequest& asked) {
     return {};
   };
   if (request.serial.empty()) return failure("the serial number is empty; every check belongs to a brake");
+  if (request.repeats_auto && request.repeats > 0)
+    return failure(
+        "a check takes either as many repeats as its brake needs or a number of them: ask for one of the "
+        "two");
   if (request.repeats > kMaxRepeats)
     return failure(fmt::format("{} repeats are too many; at most {}", request.repeats, kMaxRepeats));
   for (const auto& [what, text] :
@@ -158,9 +175,12 @@ CheckSession::CheckSession(const StationConfiguration& configuration, const Limi
     : configuration_(configuration),
       limits_(limits),
       started_utc_ns_(context.started_utc_ns),
-      repeats_(request.repeats > 0 ? request.repeats : configuration.check.repeats),
+      repeats_(planned_repeats(request, configuration.check)),
+      stopping_(repeats_.automatic
+                    ? std::optional<StoppingRule>(std::in_place, limits.guard_band_k, repeats_.most)
+                    : std::nullopt),
       collector_(context.trajectory_rows),
-      worker_(std::move(estimator), estimator_options(configuration), repeats_, mode),
+      worker_(std::move(estimator), estimator_options(configuration), repeats_.most, mode, looks()),
       diagnoser_(std::move(diagnoser)) {
   CLAMPD_ASSERT(validate(request).has_value());
   record_.id = make_record_id(context.started_utc_ns);
@@ -181,19 +201,53 @@ CheckSession::CheckSession(const StationConfiguration& configuration, const Limi
   record_.simulated = configuration.simulated_brake;
   record_.torque_while_off = context.torque_while_off;
   record_.started = format_utc(context.started_utc_ns);
-  record_.repeats = repeats_;
+  record_.repeats = repeats_.most;
+}
+
+Looks CheckSession::looks() {
+  if (!stopping_) return {};
+  return {StoppingRule::kFirstLook, [this](const std::vector<RunRecord>& runs, const Estimate& joint) {
+            return are_enough(runs, joint);
+          }};
+}
+
+/// What the verdict would be if the check ended here and the station did its part. The tare was over before
+/// the first run, so that whoever identifies the runs may read it.
+bool CheckSession::are_enough(const std::vector<RunRecord>& runs, const Estimate& joint) const {
+  CheckFacts facts;
+  facts.tracking_rms_N = tracking_rms_N(runs);
+  add_estimate(joint, runs, facts);
+  return StoppingRule::is_enough(judge(facts, limits_, configuration_.validity), joint);
+}
+
+void CheckSession::record_stopping(const CheckFacts& facts, const Judgement& judgement, const Estimate& joint,
+                                   CheckRecord& record) const {
+  if (!stopping_) return;
+  std::string reason = "the check was ended before its time";
+  const bool was_ended = facts.fault != FaultCause::None || !facts.refusal.empty();
+  if (worker_.has_enough() && !was_ended) {
+    record.repeats = static_cast<std::uint32_t>(record.runs.size());
+    reason = fmt::format("every limit decided after {} runs", record.runs.size());
+  } else if (record.runs.size() == repeats_.most && !was_ended) {
+    reason = stopping_->why_most(judgement, joint);
+  }
+  record.stopping = StoppingRecord{repeats_.most, stopping_->coverage_factor(), std::move(reason)};
 }
 
 void CheckSession::consume(const Sample& sample) {
   std::optional<CollectedRun> run = collector_.consume(sample);
   samples_.store(collector_.samples(), std::memory_order_relaxed);
-  if (run && recorded_.load(std::memory_order_relaxed) < repeats_ && worker_.submit(std::move(*run)))
+  if (run && recorded_.load(std::memory_order_relaxed) < repeats_.most && worker_.submit(std::move(*run)))
     recorded_.fetch_add(1, std::memory_order_relaxed);
 }
 
 CheckSession::Progress CheckSession::progress() const {
-  return {samples_.load(std::memory_order_relaxed), repeats_, recorded_.load(std::memory_order_relaxed),
-          worker_.identified(), cause_searched_.load(std::memory_order_relaxed)};
+  return {samples_.load(std::memory_order_relaxed),
+          repeats_.most,
+          repeats_.automatic,
+          recorded_.load(std::memory_order_relaxed),
+          worker_.identified(),
+          cause_searched_.load(std::memory_order_relaxed)};
 }
 
 const Diagnosis* CheckSession::name_cause(CheckRecord& record) {
@@ -272,18 +326,44 @@ void CheckSession::question_failure(CheckRecord& record) {
 
 /// Tests whether the repeats have something in common that the model lacks; where that may move a parameter
 /// by more than its standard deviation, the deviations grow by as much.
-void CheckSession::count_misfit(const Estimate& joint, CheckRecord& record, ParameterVector& sd) const {
+std::optional<SystematicRecord> CheckSession::count_misfit(const Estimate& joint,
+                                                           const std::vector<RunRecord>& runs,
+                                                           ParameterVector& sd) const {
   const SystematicMisfit misfit = systematic_misfit(
-      runs_of(record), joint,
+      runs_of(runs), joint,
       joint.method == Method::PredictionError ? ResidualKind::Innovations : ResidualKind::OutputError);
-  if (!misfit.can_tell) return;
+  if (!misfit.can_tell) return std::nullopt;
   const ParameterVector by_misfit =
       misfit.covariance_normalised.diagonal().cwiseMax(0.0).cwiseSqrt().cwiseProduct(
           nominal_parameters().cwiseAbs());
   const double moved_sd = by_misfit.cwiseQuotient(sd).maxCoeff();
-  record.systematic = {misfit.p_value, misfit.over_noise, moved_sd,
-                       misfit.is_significant() && moved_sd > 1.0};
-  if (record.systematic->marked) sd = (sd.cwiseAbs2() + by_misfit.cwiseAbs2()).cwiseSqrt();
+  const bool is_marked = misfit.is_significant() && moved_sd > 1.0;
+  if (is_marked) sd = (sd.cwiseAbs2() + by_misfit.cwiseAbs2()).cwiseSqrt();
+  return SystematicRecord{misfit.p_value, misfit.over_noise, moved_sd, is_marked};
+}
+
+/// What runs and their joint estimate contribute to the facts. Gives what the repeats have in common beside
+/// the model.
+std::optional<SystematicRecord> CheckSession::add_estimate(const Estimate& joint,
+                                                           const std::vector<RunRecord>& runs,
+                                                           CheckFacts& facts) const {
+  facts.estimate_text = joint.message;
+  facts.estimated = !runs.empty() && joint.converged();
+  facts.unexplained = joint.termination == Termination::Unexplained;
+  if (!facts.estimated) return std::nullopt;
+  if (is_by_output_errors() && joint.method == Method::PredictionError)
+    facts.other_method = fmt::format("No parameters could be identified as configured: {}: {}.",
+                                     joint.message, kUsePredictionErrors);
+  facts.estimate = joint.parameters.theta;
+  facts.sd = sd_with_tare(joint, collector_.tare());
+  std::optional<SystematicRecord> systematic = count_misfit(joint, runs, facts.sd);
+  const ExpectedResidual expected = expected_residual(collector_.tare(), runs, configuration_.model,
+                                                      configuration_.validity.torque_noise_Nm);
+  facts.effects = with_tare_sd(joint.effects, collector_.tare());
+  facts.misfit_force = ratio(joint.force_rms_N, expected.force_N);
+  facts.misfit_velocity = ratio(joint.velocity_rms_rad_s, expected.velocity_rad_s);
+  if (stopping_) facts.guard_bands = stopping_->guard_bands(joint);
+  return systematic;
 }
 
 /// What a verdict depends on. Takes the texts of `outcome`; what the estimate says of the record goes there.
@@ -296,33 +376,19 @@ CheckFacts CheckSession::facts_of(CheckOutcome& outcome, const Estimate& joint, 
   facts.problem = collector_.problem();
   if (facts.problem.empty() && !record.runs.empty() && collector_.tare().samples == 0)
     facts.problem = "the sensors were not tared";
-  facts.repeats_planned = repeats_;
   facts.repeats_recorded = static_cast<std::uint32_t>(record.runs.size());
+  facts.repeats_planned = worker_.has_enough() ? facts.repeats_recorded : repeats_.most;
   facts.ticks_skipped = record.timing.skipped;
   facts.samples_lost = record.timing.lost_samples;
   facts.tracking_rms_N = record.tracking_rms_N;
-  facts.estimate_text = joint.message;
-  facts.estimated = !record.runs.empty() && joint.converged();
-  facts.unexplained = joint.termination == Termination::Unexplained;
-  if (facts.estimated && is_by_output_errors() && joint.method == Method::PredictionError)
-    facts.other_method = fmt::format("No parameters could be identified as configured: {}: {}.",
-                                     joint.message, kUsePredictionErrors);
-  if (facts.estimated) {
-    facts.estimate = joint.parameters.theta;
-    facts.sd = sd_with_tare(joint, collector_.tare());
-    count_misfit(joint, record, facts.sd);
-    const ExpectedResidual expected = expected_residual(collector_.tare(), record.runs, configuration_.model,
-                                                        configuration_.validity.torque_noise_Nm);
-    facts.effects = with_tare_sd(joint.effects, collector_.tare());
-    facts.misfit_force = ratio(joint.force_rms_N, expected.force_N);
-    facts.misfit_velocity = ratio(joint.velocity_rms_rad_s, expected.velocity_rad_s);
-    for (int row = 0; row < joint.covariance_normalised.rows(); ++row)
-      for (int column = 0; column < joint.covariance_normalised.cols(); ++column)
-        record.covariance_normalised.push_back(joint.covariance_normalised(row, column));
-    record.noise_torque_Nm = joint.noise_torque_Nm;
-    record.noise_force_N = joint.noise_force_N;
-    record.noise_velocity_rad_s = joint.noise_velocity_rad_s;
-  }
+  record.systematic = add_estimate(joint, record.runs, facts);
+  if (!facts.estimated) return facts;
+  for (int row = 0; row < joint.covariance_normalised.rows(); ++row)
+    for (int column = 0; column < joint.covariance_normalised.cols(); ++column)
+      record.covariance_normalised.push_back(joint.covariance_normalised(row, column));
+  record.noise_torque_Nm = joint.noise_torque_Nm;
+  record.noise_force_N = joint.noise_force_N;
+  record.noise_velocity_rad_s = joint.noise_velocity_rad_s;
   return facts;
 }
 
@@ -344,10 +410,7 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   record.timing.lost_samples =
       std::max({record.timing.lost_samples + outcome.health.lost_samples, collector_.samples_lost()});
   record.flight_recorder = std::move(outcome.flight_recorder);
-  double squares = 0.0;
-  for (const RunRecord& run : record.runs) squares += run.tracking_rms_N * run.tracking_rms_N;
-  if (!record.runs.empty())
-    record.tracking_rms_N = std::sqrt(squares / static_cast<double>(record.runs.size()));
+  record.tracking_rms_N = tracking_rms_N(record.runs);
 
   if (collector_.tare().samples > 0) {
     const Eigen::Vector2d tare_sd = offset_sd(collector_.tare());
@@ -359,6 +422,7 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
 
   const CheckFacts facts = facts_of(outcome, joint, record);
   Judgement judgement = judge(facts, limits_, configuration_.validity);
+  record_stopping(facts, judgement, joint, record);
   record.verdict = judgement.verdict;
   record.marginal = judgement.marginal;
   record.reason = std::move(judgement.reason);

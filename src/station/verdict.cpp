@@ -14,6 +14,7 @@ namespace {
 struct Judged {
   ParameterRecord record;
   LimitInterval limits;
+  double guard_band_k;
 };
 
 bool is_inside(const Judged& parameter) {
@@ -21,7 +22,7 @@ bool is_inside(const Judged& parameter) {
 }
 
 std::string describe(const Judged& parameter) {
-  const auto& [record, limits] = parameter;
+  const auto& [record, limits, guard_band_k] = parameter;
   const bool low = record.value - limits.lower < limits.upper - record.value;
   return fmt::format("{} is {:.4g} {}, {} its {} limit {:.4g} {}", record.name, record.value, record.unit,
                      is_inside(parameter) ? "close to" : (low ? "below" : "above"), low ? "lower" : "upper",
@@ -43,7 +44,8 @@ Judged judged(std::string name, std::string unit, double value, double sd, const
               const LimitInterval& decisive, double guard_band_k) {
   return {{std::move(name), std::move(unit), value, sd, given.lower, given.upper,
            judge_parameter(value, sd, decisive, guard_band_k)},
-          decisive};
+          decisive,
+          guard_band_k};
 }
 
 const EffectEstimate* find_estimate(const CheckFacts& facts, const EffectLimit& limit) {
@@ -71,16 +73,18 @@ LimitInterval decisive_limits(const EffectLimit& limit) {
 std::vector<Judged> judge_parameters(const CheckFacts& facts, const LimitSet& limits) {
   std::vector<Judged> parameters;
   if (!facts.estimated || !facts.estimate.allFinite() || !facts.sd.allFinite()) return parameters;
+  const GuardBands bands = facts.guard_bands.value_or(
+      GuardBands{ParameterVector::Constant(limits.guard_band_k), limits.guard_band_k});
   for (std::size_t i = 0; i < kParameterCount; ++i) {
     const auto k = static_cast<Eigen::Index>(i);
     const ParameterInfo& info = kParameterTable[i];
     parameters.push_back(judged(std::string(info.name), std::string(info.unit), facts.estimate[k],
-                                facts.sd[k], limits.intervals[i], limits.intervals[i], limits.guard_band_k));
+                                facts.sd[k], limits.intervals[i], limits.intervals[i], bands.parameters[k]));
   }
   for (const EffectLimit& limit : limits.effects)
     if (const EffectEstimate* estimate = find_estimate(facts, limit); is_known(estimate))
       parameters.push_back(judged(limit.effect + "." + limit.parameter, estimate->unit, estimate->value,
-                                  estimate->sd, limit.interval, decisive_limits(limit), limits.guard_band_k));
+                                  estimate->sd, limit.interval, decisive_limits(limit), bands.effects));
   return parameters;
 }
 
@@ -156,7 +160,7 @@ Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValidityS
     // Between a limit and where no value can be, there is only one guard band.
     const bool one_sided = std::isinf(p.limits.lower) || std::isinf(p.limits.upper);
     return is_marginal(p) &&
-           (one_sided ? 1.0 : 2.0) * limits.guard_band_k * p.record.sd >= p.record.upper - p.record.lower;
+           (one_sided ? 1.0 : 2.0) * p.guard_band_k * p.record.sd >= p.record.upper - p.record.lower;
   };
   const auto marginal_outside = [&](const Judged& p) { return is_marginal(p) && !is_inside(p); };
   const auto any = [&](auto predicate) {

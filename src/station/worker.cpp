@@ -30,8 +30,12 @@ EstimatorOptions joint_options(EstimatorOptions options, const std::vector<RunRe
 }  // namespace
 
 IdentificationWorker::IdentificationWorker(Estimator estimator, EstimatorOptions options,
-                                           std::size_t capacity, WorkerMode mode)
-    : estimator_(std::move(estimator)), options_(std::move(options)), capacity_(capacity), mode_(mode) {
+                                           std::size_t capacity, WorkerMode mode, Looks looks)
+    : estimator_(std::move(estimator)),
+      options_(std::move(options)),
+      capacity_(capacity),
+      mode_(mode),
+      looks_(std::move(looks)) {
   CLAMPD_ASSERT(estimator_ && capacity_ > 0);
   if (mode_ == WorkerMode::Background) thread_ = std::thread([this] { work(); });
 }
@@ -60,10 +64,26 @@ RunRecord IdentificationWorker::identify(CollectedRun collected) const {
   return record;
 }
 
+Estimate IdentificationWorker::fit_jointly() const {
+  std::vector<Run> runs;
+  runs.reserve(records_.size());
+  for (const RunRecord& record : records_) runs.push_back(record.run);
+  return estimator_(runs, joint_options(options_, records_));
+}
+
+void IdentificationWorker::look() {
+  if (!looks_.are_enough || records_.size() < looks_.first) return;
+  joint_ = fit_jointly();
+  joint_runs_ = records_.size();
+  if (looks_.are_enough(records_, joint_)) has_enough_.store(true, std::memory_order_release);
+}
+
 bool IdentificationWorker::submit(CollectedRun run) {
+  if (has_enough()) return false;
   if (mode_ == WorkerMode::Synchronous) {
     records_.push_back(identify(std::move(run)));
     identified_.fetch_add(1, std::memory_order_relaxed);
+    look();
     return true;
   }
   {
@@ -85,6 +105,12 @@ void IdentificationWorker::work() {
     lock.unlock();
     records_.push_back(identify(std::move(run)));
     identified_.fetch_add(1, std::memory_order_relaxed);
+    // A look must not hold up the runs after it: whatever waits is identified first.
+    lock.lock();
+    const bool is_behind = !queue_.empty();
+    lock.unlock();
+    if (!is_behind) look();
+    if (has_enough()) return;
   }
 }
 
@@ -96,11 +122,8 @@ IdentificationWorker::Outcome IdentificationWorker::finish() {
   arrived_.notify_one();
   if (thread_.joinable()) thread_.join();
   Outcome outcome;
+  if (!records_.empty()) outcome.joint = joint_runs_ == records_.size() ? std::move(joint_) : fit_jointly();
   outcome.runs = std::move(records_);
-  std::vector<Run> runs;
-  runs.reserve(outcome.runs.size());
-  for (const RunRecord& record : outcome.runs) runs.push_back(record.run);
-  if (!runs.empty()) outcome.joint = estimator_(runs, joint_options(options_, outcome.runs));
   return outcome;
 }
 

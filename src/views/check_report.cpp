@@ -339,6 +339,10 @@ void write_traceability(Page& page, const CheckRecord& check) {
       {"Stopped", readable(check.stopped)},
       {"Software", check.software_version},
       {"Method", or_dash(check.method)},
+      {"Repeats", check.stopping
+                      ? fmt::format("{}: {}; guard band of {:.2f} standard deviations", check.repeats,
+                                    check.stopping->reason, check.stopping->coverage_factor)
+                      : fmt::format("{}, a fixed number", check.repeats)},
       {"Limits", fmt::format("revision {} ({})", check.limits_revision, check.limits_file)},
       {"Limits SHA-256", check.limits_sha256},
       {"Trajectory SHA-256", check.trajectory_sha256},

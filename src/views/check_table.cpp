@@ -167,6 +167,7 @@ std::string format_check(const CheckRecord& record, bool colour) {
             '\n';
 
   append_parameters(text, record, colour);
+  if (record.stopping) text += wrapped(fmt::format("Repeats   {}", record.stopping->reason), "  ");
   append_runs(text, record);
   const TimingRecord& timing = record.timing;
   text += fmt::format(

@@ -48,7 +48,7 @@ class ToyStation final : public ControlTarget {
   }
   rt::StartTicket ticket() const override { return {}; }
   Result<api::StartedCheck> start(const CheckRequest& request, const rt::StartTicket&,
-                                      std::optional<std::uint64_t> stops_seen) override {
+                                  std::optional<std::uint64_t> stops_seen) override {
     wait_where_held();
     if (request.serial == "BUSY") return failure("a check is under way");
     serial = request.serial;
@@ -162,9 +162,7 @@ class ControlApi : public ::testing::Test {
     ASSERT_TRUE(started) << started.error().message;
     server_ = std::move(*started);
   }
-  api::Client client() const {
-    return api::Client("127.0.0.1", server_->port(), settings_.token_file);
-  }
+  api::Client client() const { return api::Client("127.0.0.1", server_->port(), settings_.token_file); }
 
   std::string token() const {
     std::string text;
@@ -247,6 +245,9 @@ TEST_F(ControlApi, AClientsRequestArrivesAsItWasMade) {
   EXPECT_EQ(taken.repeats, 3U);
   ASSERT_TRUE(client().start({"S-2"}));
   EXPECT_EQ(station_.asked_for.repeats, 0U) << "as the station is set to";
+  EXPECT_FALSE(station_.asked_for.repeats_auto);
+  ASSERT_TRUE(client().start({.serial = "S-3", .repeats_auto = true}));
+  EXPECT_TRUE(station_.asked_for.repeats_auto);
   const auto spoiled = client().start({"S\xff"});
   ASSERT_FALSE(spoiled);
   EXPECT_THAT(spoiled.error().message, HasSubstr("UTF-8"));
@@ -441,6 +442,7 @@ TEST_F(ControlApi, RefusesCheckRequestsThatItDoesNotUnderstand) {
       {R"({"serial":"X","repeats":true})", "repeats must be"},
       {R"({"serial":"X","repeats":"3"})", "repeats must be"},
       {R"({"serial":"X","repeats":null})", "repeats must be"},
+      {R"({"serial":"X","repeats":"Auto"})", R"(or "auto" for as many as the brake needs)"},
       {R"({"serial":"X","Operator":"Jo"})", R"(no "Operator"; it has serial, repeats, operator)"},
       {R"({"serial":"X","operator":"Jo","operator_name":"Jo"})", "the same"}};
   for (const auto& [body, says] : refused)
@@ -663,8 +665,8 @@ TEST(InheritedControlSocket, ServesAgainAfterARestart) {
   const int shared = support::listening_socket(port);
   ToyStation station;
   for (int start = 0; start < 3; ++start) {
-    const auto server =
-        ControlServer::start(station, {"127.0.0.1", static_cast<std::uint16_t>(port), "", {}}, {}, dup(shared));
+    const auto server = ControlServer::start(station, {"127.0.0.1", static_cast<std::uint16_t>(port), "", {}},
+                                             {}, dup(shared));
     ASSERT_TRUE(server) << server.error().message;
     const auto status = api::Client("127.0.0.1", port, "").status();
     ASSERT_TRUE(status) << status.error().message;

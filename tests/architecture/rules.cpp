@@ -215,7 +215,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"experiment", {"control", "identify", "brake", "parameters", "record", "statistics", "base"}},
       {"diagnose", {"experiment", "identify", "brake", "parameters", "record", "statistics", "base"}},
       {"drive", {"diagnose", "statistics", "record", "base"}},
-      {"station", {"diagnose", "identify", "brake", "parameters", "ports", "record", "base"}},
+      {"station", {"diagnose", "identify", "brake", "parameters", "ports", "record", "statistics", "base"}},
       {"archive", {"record", "base"}},
       {"publish", {"archive", "record", "base"}},
       {"line", {"archive", "station", "record", "statistics", "base"}},

@@ -21,6 +21,7 @@ TEST(CheckJson, HoldsWhatTheContractPromises) {
   EXPECT_EQ(document.at("marginal"), false);
   EXPECT_EQ(document.at("reason"), "k2 is 24.64 N/rad^2, below its lower limit 29.92 N/rad^2.");
   EXPECT_EQ(document.at("repeats"), 2);
+  EXPECT_TRUE(document.at("stopping").is_null()) << "their number was fixed";
   ASSERT_EQ(document.at("parameters").size(), 7u);
   EXPECT_EQ(document.at("parameters")[1],
             ordered_json::parse(R"({"name":"k2","unit":"N/rad^2","value":24.64,"sd":0.105,

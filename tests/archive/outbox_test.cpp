@@ -75,7 +75,8 @@ TEST_F(Outbox, PutsMarksFromBeforeItInOrder) {
             "ALTER TABLE checks DROP COLUMN tare_force_sd_N; ALTER TABLE checks DROP COLUMN "
             "tare_velocity_rad_s; "
             "ALTER TABLE checks DROP COLUMN tare_velocity_sd_rad_s; DROP TABLE amendments; DROP TABLE chain; "
-            "ALTER TABLE runs DROP COLUMN data; ALTER TABLE checks DROP COLUMN systematic; PRAGMA "
+            "ALTER TABLE runs DROP COLUMN data; ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE "
+            "checks DROP COLUMN stopping; PRAGMA "
             "application_id = 0; "
             "PRAGMA user_version = 4");
   }

@@ -139,7 +139,7 @@ void undo_steps_7_and_8(SQLite::Database& database) {
   database.exec(
       "DROP TABLE chain; DROP TABLE amendments; ALTER TABLE runs DROP COLUMN data; ALTER TABLE checks DROP "
       "COLUMN "
-      "systematic; PRAGMA application_id = "
+      "systematic; ALTER TABLE checks DROP COLUMN stopping; PRAGMA application_id = "
       "0; "
       "PRAGMA user_version = 6");
 }
@@ -168,7 +168,7 @@ TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
     old.exec("ALTER TABLE checks DROP COLUMN cause");
     old.exec("PRAGMA user_version = 2");
   }
-  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 10"));
+  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 12"));
   CheckStore store = open();
   const auto loaded = store.load("last");
   ASSERT_TRUE(loaded) << loaded.error().message;
@@ -241,7 +241,9 @@ TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
     seal.bind(1, link.content_sha256);
     seal.bind(2, link_sha256(link, ""));
     seal.exec();
-    old.exec("ALTER TABLE checks DROP COLUMN systematic; PRAGMA user_version = 8");
+    old.exec(
+        "ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE checks DROP COLUMN stopping; PRAGMA "
+        "user_version = 8");
   }
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
@@ -253,6 +255,44 @@ TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
   for (const std::string& changed : {id, later.id}) {
     SQLite::Database database(path, SQLite::OPEN_READWRITE);
     SQLite::Statement change(database, "UPDATE checks SET systematic = '{}' WHERE id = ?");
+    change.bind(1, changed);
+    change.exec();
+  }
+  EXPECT_EQ(store.verify()->damage.size(), 2U)
+      << "what came later is sealed too, and none of it is put into old checks";
+}
+
+TEST_F(Store, KeepsWhatSchema10SealedVerifiable) {
+  const std::string id = make_check_record().id;
+  {
+    CheckStore store = open();
+    ASSERT_TRUE(store.save(make_check_record()));
+  }
+  {
+    SQLite::Database old(path, SQLite::OPEN_READWRITE);
+    ChainLink link{.position = 1,
+                   .check_id = id,
+                   .amendment = {},
+                   .format = 2,
+                   .content_sha256 = {},
+                   .chain_sha256 = {}};
+    link.content_sha256 = ContentDigest(old).of_check(id, 2).value();
+    SQLite::Statement seal(old, "UPDATE chain SET format = 2, content_sha256 = ?, chain_sha256 = ?");
+    seal.bind(1, link.content_sha256);
+    seal.bind(2, link_sha256(link, ""));
+    seal.exec();
+    old.exec("ALTER TABLE checks DROP COLUMN stopping; PRAGMA user_version = 10");
+  }
+  CheckStore store = open();
+  CheckRecord later = make_check_record("20261121T000000000Z-00000000");
+  later.stopping = StoppingRecord{21, 2.608, "every limit decided after 4 runs"};
+  ASSERT_TRUE(store.save(later));
+  EXPECT_EQ(store.load(later.id)->stopping, later.stopping);
+  EXPECT_FALSE(store.load(id)->stopping);
+  EXPECT_THAT(store.verify()->damage, ::testing::IsEmpty());
+  for (const std::string& changed : {id, later.id}) {
+    SQLite::Database database(path, SQLite::OPEN_READWRITE);
+    SQLite::Statement change(database, "UPDATE checks SET stopping = '{}' WHERE id = ?");
     change.bind(1, changed);
     change.exec();
   }
@@ -565,7 +605,7 @@ TEST_F(Store, AdoptsNoDatabaseOfAnotherProgram) {
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 10);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 12);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

@@ -49,6 +49,21 @@ TEST(CheckConductor, RefusesAStartThatWaitedTooLong) {
   EXPECT_THAT(begun.error().message, HasSubstr("300 ms"));
 }
 
+TEST(CheckConductor, AStopWithinTheRunAfterTheLastLookIsStillAStop) {
+  Bench bench(plant(1), WorkerMode::Synchronous);
+  bench.reach(StationState::Idle);
+  ASSERT_TRUE(bench.conductor.begin({.serial = "AUTO", .repeats_auto = true}, {bench.now_ns, bench.now_ns}));
+  while (bench.core.requests().enough_runs_in == 0) {
+    bench.advance();
+    ASSERT_FALSE(bench.pump());
+  }
+  bench.core.requests().stop(bench.now_ns);
+  const CheckRecord record = bench.finish();
+  EXPECT_EQ(record.verdict, Verdict::Aborted);
+  EXPECT_EQ(record.runs.size(), 4u);
+  EXPECT_EQ(record.stopping.value().reason, "the check was ended before its time");
+}
+
 TEST(CheckConductor, RecordsThatACheckWasStoppedBeforeItMoved) {
   Bench bench(plant(1), WorkerMode::Synchronous);
   bench.reach(StationState::Idle);

@@ -308,6 +308,19 @@ TEST_F(ExtendedCheck, IsPreparedOnlyFromAModelThatFitsTheLimits) {
   EXPECT_THAT(prepare().error().message, HasSubstr("[effects.force-lag] has limits"));
 }
 
+TEST(EmbeddedStation, TakesAsManyRepeatsAsTheBrakeNeeds) {
+  EmbeddedStation station(prepared(), plant(5));
+  for (const char* serial : {"A", "B"}) {  // what was enough for one brake is not for the next
+    const Result<CheckRecord> record =
+        station.run_check({.serial = serial, .repeats_auto = true}, nullptr, nullptr);
+    ASSERT_TRUE(record);
+    EXPECT_EQ(record->verdict, Verdict::Pass) << record->reason;
+    EXPECT_EQ(record->runs.size(), 4u);
+    EXPECT_EQ(record->stopping.value().reason, "every limit decided after 4 runs");
+    EXPECT_LT(record->duration_s, 4.0);
+  }
+}
+
 TEST(EmbeddedStation, RefusesARequestBeforeAnythingMoves) {
   EmbeddedStation station(prepared(), plant(1));
   CheckRequest asked = request(20);

@@ -131,6 +131,24 @@ void expect_stop_and_recovery(const Injection& injection, StationState state) {
   EXPECT_GT(station.port.driven_sends, driven);
 }
 
+TEST(ControlCore, RunsAreEnoughForTheCheckThatTheyWereEnoughForAndForNoOther) {
+  ToySequence::reset();
+  ToyStation station;
+  station.ticks(10);
+  station.start();
+  station.ticks(20);
+  EXPECT_EQ(ToySequence::concluded, 0);
+  station.core.requests().enough_runs_in = station.core.status().checks_finished + 1;
+  station.ticks(10);
+  EXPECT_EQ(ToySequence::concluded, 10);
+  station.ticks(400);
+  ASSERT_EQ(station.core.status().checks_finished, 1u);
+  ToySequence::reset();
+  station.start();
+  station.ticks(50);
+  EXPECT_EQ(ToySequence::concluded, 0) << "what was said of the last check says nothing of this one";
+}
+
 TEST(ControlCore, EveryCauseStopsTheDriveAndIsRecoveredFrom) {
   for (const Injection& injection : kInjections) {
     expect_stop_and_recovery(injection, StationState::Idle);

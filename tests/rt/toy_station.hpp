@@ -71,11 +71,13 @@ class ToySequence {
   static inline double torque_Nm = kTorque_Nm;
   static inline FaultCause fault = FaultCause::None;
   static inline int abandoned = 0;
+  static inline int concluded = 0;  ///< samples for which it was told so
   static inline int steps_after_end = 0;
   static void reset() {
     torque_Nm = kTorque_Nm;
     fault = FaultCause::None;
     abandoned = 0;
+    concluded = 0;
     steps_after_end = 0;
   }
 
@@ -102,6 +104,7 @@ class ToySequence {
     ++step_;
     return output;
   }
+  void conclude() noexcept { ++concluded; }
   void abandon() noexcept {
     plan_ = nullptr;
     ++abandoned;

@@ -50,6 +50,57 @@ class CheckSequenceTest : public ::testing::Test {
   BrakeFeedback feedback_;
 };
 
+TEST_F(CheckSequenceTest, ConcludedWithinARunItEndsThatRunAndReleases) {
+  plan_.repeats = 9;
+  sim::SimulatedBrake brake(scenario::shipped_plant());
+  std::int32_t last_row = -1;
+  std::uint16_t last_repeat = 0;
+  const SequenceOutput end = run(brake, [&](const SequenceOutput& output) {
+    if (output.repeat == 2 && output.trajectory_index == 100) sequence_.conclude();
+    if (output.trajectory_index >= 0) last_row = output.trajectory_index, last_repeat = output.repeat;
+  });
+  EXPECT_EQ(end.fault, FaultCause::None);
+  EXPECT_TRUE(sequence_.done());
+  EXPECT_EQ(last_repeat, 2) << "no further run";
+  EXPECT_EQ(last_row, static_cast<std::int32_t>(plan_.reference.rows.size()) - 1) << "but that one whole";
+  EXPECT_LT(brake.truth().force_N, 50.0) << "and open";
+}
+
+TEST_F(CheckSequenceTest, ConcludedBetweenRunsItReleasesAtOnce) {
+  for (const CheckPhase when : {CheckPhase::Return, CheckPhase::Settle}) {
+    plan_.repeats = 9;
+    sequence_.start(&plan_);
+    sim::SimulatedBrake brake(scenario::shipped_plant());
+    int runs = 0;
+    CheckPhase before = CheckPhase::None;
+    CheckPhase after_conclusion = CheckPhase::None;
+    bool concluded = false;
+    const SequenceOutput end = run(brake, [&](const SequenceOutput& output) {
+      runs += before != CheckPhase::Trajectory && output.phase == CheckPhase::Trajectory;
+      if (concluded && after_conclusion == CheckPhase::None && output.phase != when)
+        after_conclusion = output.phase;
+      if (runs == 2 && output.phase == when && !concluded) {
+        sequence_.conclude();
+        concluded = true;
+      }
+      before = output.phase;
+    });
+    EXPECT_EQ(end.fault, FaultCause::None);
+    EXPECT_EQ(runs, 2);
+    EXPECT_EQ(after_conclusion, CheckPhase::Release);
+    EXPECT_EQ(end.repeat, 1) << "the last run that there was";
+  }
+}
+
+TEST_F(CheckSequenceTest, ConcludedBeforeItsFirstRunItStillDrivesOne) {
+  plan_.repeats = 9;
+  sequence_.conclude();
+  sim::SimulatedBrake brake(scenario::shipped_plant());
+  int rows = 0;
+  run(brake, [&](const SequenceOutput& output) { rows += output.trajectory_index >= 0; });
+  EXPECT_EQ(rows, static_cast<int>(plan_.reference.rows.size()));
+}
+
 TEST_F(CheckSequenceTest, RunsAreWholeConsecutiveAndStartWithTheFirstRowsTorque) {
   sim::PlantConfiguration plant = scenario::shipped_plant();
   plant.sensors = {};  // so that the readings are the truth

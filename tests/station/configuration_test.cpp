@@ -289,6 +289,18 @@ port = 9000
   EXPECT_EQ(configuration->control.port, 9000);
 }
 
+TEST(StationConfiguration, RepeatsMayBeAsManyAsTheBrakeNeeds) {
+  const auto check = [](const char* text) {
+    return parse_station_configuration(text, "a.toml").value().check;
+  };
+  EXPECT_FALSE(check("").repeats_auto);
+  EXPECT_EQ(check("").repeats_planned(), 20u);
+  EXPECT_TRUE(check("[check]\nrepeats = \"auto\"\n").repeats_auto);
+  EXPECT_EQ(check("[check]\nrepeats = \"auto\"\n").repeats_planned(), 21u);
+  EXPECT_EQ(check("[check]\nrepeats = \"auto\"\nrepeats_most = 30\n").repeats_planned(), 30u);
+  EXPECT_EQ(check("[check]\nrepeats = 5\nrepeats_most = 30\n").repeats_planned(), 5u);
+}
+
 TEST(StationConfiguration, AVirtualBusMeansASimulatedBrakeUnlessTold) {
   EXPECT_TRUE(parse("[can]\ninterface = \"vcan0\"")->simulated_brake);
   EXPECT_FALSE(parse("[can]\ninterface = \"vcan0\"\n[station]\nsimulated_brake = false")->simulated_brake);
@@ -335,6 +347,9 @@ INSTANTIATE_TEST_SUITE_P(
                 "4:1: ", "did you mean force?"},
         Refused{"wrong_type", "[check]\nrepeats = \"20\"\n",
                 "2:11: ", "check.repeats must be a whole number"},
+        Refused{"repeats_word", "[check]\nrepeats = \"few\"\n",
+                "2:11: ", "or \"auto\" for as many as the brake needs"},
+        Refused{"too_few_at_most", "[check]\nrepeats_most = 3\n", "2:16: ", "outside of 4 to 200"},
         Refused{"float_count", "[check]\nrepeats = 2.5\n", "2:11: ", "whole number"},
         Refused{"no_repeats", "[check]\nrepeats = 0\n", "2:11: ", "outside of 1 to 200"},
         Refused{"nan", "[check]\ntare_s = nan\n", "2:10: ", "check.tare_s = nan is outside of"},

@@ -1,6 +1,8 @@
 #include "clampd/station/session.hpp"
 
+#include <atomic>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <memory>
 #include <string>
@@ -11,6 +13,7 @@
 #include "clampd/base/nan.hpp"
 #include "clampd/record/checksum.hpp"
 #include "station/sample_stream.hpp"
+#include "support/eventually.hpp"
 #include "support/shipped_limits.hpp"
 
 namespace clampd {
@@ -344,6 +347,153 @@ TEST_P(Session, WhereTheOutputErrorsGotLostTheOtherMethodIsAdvised) {
   EXPECT_EQ(check(samples, lost).verdict, Verdict::Pass);
 }
 
+/// As many repeats as this brake needs. The stream goes on as long as the session does not have enough.
+class AutomaticSession : public Session {
+ protected:
+  static constexpr std::uint16_t kMost = 12;
+
+  void SetUp() override {
+    request.repeats = 0;
+    request.repeats_auto = true;
+    configuration.check.repeats_most = kMost;
+    configuration.check.diagnose = false;
+  }
+
+  /// What the loop would do: no run begins once there are enough. Runs come no faster than they are
+  /// identified.
+  CheckRecord drive(const Estimator& estimator, const CheckOutcome& outcome = {}) {
+    CheckSession session(configuration, limits, request, context, estimator, GetParam());
+    EXPECT_TRUE(session.progress().repeats_auto);
+    EXPECT_EQ(session.progress().repeats, kMost);
+    std::int64_t left_out = 0;
+    for (Sample sample : support::sample_stream({.rows = kRows, .repeats = kMost})) {
+      if (session.has_enough() && sample.phase == CheckPhase::Trajectory) {
+        ++left_out;
+        continue;
+      }
+      sample.sample_index -= left_out;
+      const std::uint32_t recorded = session.progress().recorded;
+      session.consume(sample);
+      if (session.progress().recorded > recorded) settle(session);
+    }
+    return session.finish(outcome);
+  }
+
+  /// Until the worker has fitted what its look is about. A run that comes while it still judges is not
+  /// counted if these were enough.
+  void settle(const CheckSession& session) {
+    const std::uint32_t runs = session.progress().recorded;
+    const std::uint32_t looks = runs < StoppingRule::kFirstLook ? 0 : runs - StoppingRule::kFirstLook + 1;
+    EXPECT_TRUE(support::eventually([&] { return session.has_enough() || fits >= runs + looks; }));
+  }
+
+  /// An estimator whose standard deviations fall with the number of runs, and who counts its fits.
+  Estimator of(const ParameterVector& theta, double sd_of_one) {
+    return [=, this](Runs runs, const EstimatorOptions& options) {
+      Estimate estimate = finds(theta)(runs, options);
+      estimate.covariance_normalised *= std::pow(sd_of_one / 0.01, 2) / static_cast<double>(runs.size());
+      adjust(estimate, runs.size());
+      ++fits;
+      return estimate;
+    };
+  }
+
+  std::function<void(Estimate&, std::size_t)> adjust = [](Estimate&, std::size_t) {};
+  std::atomic<std::uint32_t> fits{0};
+};
+
+TEST_P(AutomaticSession, EndsWithTheFirstLookThatDecidesEveryLimit) {
+  const CheckRecord record = drive(of(nominal_parameters(), 0.01));
+  EXPECT_EQ(record.verdict, Verdict::Pass) << record.reason;
+  EXPECT_FALSE(record.marginal);
+  EXPECT_EQ(record.runs.size(), 4u) << "fewer cannot show whether the model fits";
+  EXPECT_EQ(record.repeats, 4u);
+  ASSERT_TRUE(record.stopping);
+  EXPECT_EQ(record.stopping->reason, "every limit decided after 4 runs");
+  EXPECT_EQ(record.stopping->most, kMost);
+  EXPECT_GT(record.stopping->coverage_factor, limits.guard_band_k) << "it may look again and again";
+}
+
+TEST_P(AutomaticSession, GoesOnWhileALimitIsInDoubtAndFailsWithWhatItThenKnows) {
+  ParameterVector soft = nominal_parameters();
+  soft[k2] *= 0.82;  // the limit is 0.85: decided once 0.03 are more than 2.5 sd
+  const CheckRecord record = drive(of(soft, 0.03));
+  EXPECT_EQ(record.verdict, Verdict::Fail);
+  EXPECT_FALSE(record.marginal);
+  const double factor = record.stopping.value().coverage_factor;
+  EXPECT_EQ(record.runs.size(), static_cast<std::size_t>(std::ceil(factor * factor)));
+}
+
+TEST_P(AutomaticSession, TheMostThatIsAllowedEndsInAMarkedVerdictThatNamesTheDoubt) {
+  ParameterVector soft = nominal_parameters();
+  soft[k2] *= 0.851;
+  const CheckRecord record = drive(of(soft, 0.03));
+  EXPECT_EQ(record.verdict, Verdict::Pass);
+  EXPECT_TRUE(record.marginal);
+  EXPECT_EQ(record.runs.size(), kMost);
+  EXPECT_EQ(record.stopping.value().reason, "the most that was allowed: 12; k2 in doubt");
+}
+
+TEST_P(AutomaticSession, RunsThatDifferAreNotEnoughUntilTheirScatterIsKnown) {
+  adjust = [](Estimate& estimate, std::size_t runs) {
+    estimate.runs_agree_p = 1e-6;
+    estimate.runs_differ = runs >= 8;
+    if (estimate.runs_differ) estimate.degrees_of_freedom.setConstant(static_cast<double>(runs - 1));
+  };
+  const CheckRecord record = drive(of(nominal_parameters(), 0.01));
+  EXPECT_EQ(record.stopping.value().reason, "every limit decided after 8 runs");
+}
+
+TEST_P(AutomaticSession, DeviationsFromFewDegreesOfFreedomAskForMore) {
+  ParameterVector soft = nominal_parameters();
+  soft[k2] *= 0.82;
+  const std::size_t known = drive(of(soft, 0.03)).runs.size();
+  fits = 0;
+  adjust = [](Estimate& estimate, std::size_t) { estimate.degrees_of_freedom.setConstant(6.0); };
+  EXPECT_GT(drive(of(soft, 0.03)).runs.size(), known);
+}
+
+TEST_P(AutomaticSession, RunsThatTheModelDoesNotExplainAreNeverEnough) {
+  adjust = [](Estimate& estimate, std::size_t) { estimate.force_rms_N = 1e4; };
+  const CheckRecord record = drive(of(nominal_parameters(), 0.01));
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_EQ(record.runs.size(), kMost);
+  EXPECT_EQ(record.stopping.value().reason,
+            "the most that was allowed: 12; they say nothing about the brake");
+}
+
+TEST_P(AutomaticSession, AStopAfterTheLookThatWasEnoughIsStillAStop) {
+  CheckOutcome outcome;
+  outcome.fault = FaultCause::OperatorStop;
+  outcome.fault_verdict = Verdict::Aborted;
+  const CheckRecord record = drive(of(nominal_parameters(), 0.01), outcome);
+  EXPECT_EQ(record.verdict, Verdict::Aborted);
+  EXPECT_EQ(record.stopping.value().reason, "the check was ended before its time");
+}
+
+TEST_P(AutomaticSession, LostSamplesAfterTheLookStillMakeAnError) {
+  CheckOutcome outcome;
+  outcome.health.lost_samples = 1;
+  EXPECT_EQ(drive(of(nominal_parameters(), 0.01), outcome).verdict, Verdict::Error);
+}
+
+TEST_P(AutomaticSession, ANumberThatIsAskedForIsThatNumber) {
+  request.repeats_auto = false;
+  configuration.check.repeats_auto = true;
+  EXPECT_TRUE(planned_repeats(request, configuration.check).automatic);
+  request.repeats = 3;
+  EXPECT_FALSE(planned_repeats(request, configuration.check).automatic);
+  const CheckRecord record = check(samples, finds(nominal_parameters()));
+  EXPECT_EQ(record.repeats, 3u);
+  EXPECT_FALSE(record.stopping);
+}
+
+INSTANTIATE_TEST_SUITE_P(Modes, AutomaticSession,
+                         ::testing::Values(WorkerMode::Background, WorkerMode::Synchronous),
+                         [](const auto& mode) {
+                           return mode.param == WorkerMode::Background ? "background" : "synchronous";
+                         });
+
 TEST_P(Session, ShowsItsProgress) {
   CheckSession session(configuration, limits, request, context, finds(nominal_parameters()), GetParam());
   EXPECT_EQ(session.progress().repeats, 3u);
@@ -406,6 +556,9 @@ TEST(CheckRequest, IsCheckedBeforeAnythingMoves) {
   EXPECT_EQ(normalised({.serial = " X\r\n", .operator_name = "\tJo "}).serial, "X");
   EXPECT_EQ(normalised({.serial = " X\r\n", .operator_name = "\tJo "}).operator_name, "Jo");
   EXPECT_THAT(validate({.serial = "a", .repeats = 201}).error().message, HasSubstr("too many"));
+  EXPECT_TRUE(validate({.serial = "a", .repeats_auto = true}));
+  EXPECT_THAT(validate({.serial = "a", .repeats = 3, .repeats_auto = true}).error().message,
+              HasSubstr("one of the two"));
   EXPECT_THAT(validate({.serial = "a", .operator_name = "\x1b[31m"}).error().message,
               HasSubstr("the operator"));
 }

@@ -13,7 +13,6 @@ namespace {
 
 using ::testing::HasSubstr;
 
-
 CheckFacts good_facts() {
   CheckFacts facts;
   facts.repeats_planned = 20;
@@ -54,6 +53,16 @@ TEST(Judge, ANominalBrakePasses) {
   ASSERT_EQ(judgement.parameters.size(), kParameterCount);
   EXPECT_EQ(judgement.parameters[k2].name, "k2");
   EXPECT_EQ(judgement.parameters[k2].unit, "N/rad^2");
+}
+
+TEST(Judge, GuardBandsOfItsOwnTakeThePlaceOfTheLimits) {
+  CheckFacts facts = good_facts();
+  facts.estimate[k2] *= 0.875;  // 2.5 sd within the lower limit
+  EXPECT_FALSE(judged(facts).marginal);
+  facts.guard_bands = GuardBands{ParameterVector::Constant(2.6), 2.6};
+  EXPECT_TRUE(judged(facts).marginal);
+  facts.guard_bands->parameters[k2] = 2.4;
+  EXPECT_FALSE(judged(facts).marginal) << "each parameter has its own";
 }
 
 TEST(Judge, ASoftCaliperFailsByName) {

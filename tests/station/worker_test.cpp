@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "clampd/record/checksum.hpp"
+#include "support/eventually.hpp"
 
 namespace clampd {
 namespace {
@@ -78,6 +79,28 @@ TEST_P(Worker, ARunAloneThatDoesNotConvergeIsKeptAndNoStart) {
   EXPECT_EQ(outcome.joint.parameters.theta[TC], 4.0);
 }
 
+TEST_P(Worker, LooksAtTheRunsSoFarAndTakesNoneOnceTheyAreEnough) {
+  std::vector<std::size_t> looked;
+  IdentificationWorker worker(mean_of_forces, {}, 9, GetParam(),
+                              {2, [&looked](const std::vector<RunRecord>& runs, const Estimate& joint) {
+                                 looked.push_back(runs.size());
+                                 return joint.parameters.theta[k2] >= 2.0;  // the mean of 1, 2, 3
+                               }});
+  for (int i = 1; i <= 3; ++i) {
+    ASSERT_TRUE(worker.submit(run_of(i)));
+    ASSERT_TRUE(support::eventually([&] { return worker.identified() == static_cast<std::uint32_t>(i); }));
+    EXPECT_TRUE(i == 3 || !worker.has_enough());
+  }
+  ASSERT_TRUE(support::eventually([&] { return worker.has_enough(); }));
+  EXPECT_FALSE(worker.submit(run_of(99))) << "it would move the estimate that was enough";
+  const auto outcome = worker.finish();
+  EXPECT_EQ(outcome.runs.size(), 3u);
+  EXPECT_EQ(outcome.joint.parameters.theta[k2], 2.0);
+  ASSERT_FALSE(looked.empty());
+  EXPECT_GE(looked.front(), 2u) << "not before the first look";
+  EXPECT_EQ(looked.back(), 3u);
+}
+
 INSTANTIATE_TEST_SUITE_P(Modes, Worker, ::testing::Values(WorkerMode::Background, WorkerMode::Synchronous),
                          [](const auto& mode) {
                            return mode.param == WorkerMode::Background ? "background" : "synchronous";
@@ -100,6 +123,29 @@ TEST(BackgroundWorker, WorksBesideItsCallerAndRefusesWhatDoesNotFit) {
   EXPECT_EQ(worker.identified(), 0u);
   go_on.release(16);
   EXPECT_EQ(worker.finish().runs.size(), 3u);
+}
+
+TEST(BackgroundWorker, LeavesOutALookWhileRunsWait) {
+  std::counting_semaphore<16> started(0);
+  std::counting_semaphore<16> go_on(0);
+  std::vector<std::size_t> looked;
+  const Estimator slow = [&](Runs runs, const EstimatorOptions& options) {
+    started.release();
+    go_on.acquire();
+    return mean_of_forces(runs, options);
+  };
+  IdentificationWorker worker(slow, {}, 5, WorkerMode::Background,
+                              {1, [&looked](const std::vector<RunRecord>& runs, const Estimate&) {
+                                 looked.push_back(runs.size());
+                                 return false;
+                               }});
+  ASSERT_TRUE(worker.submit(run_of(1)));
+  started.acquire();
+  ASSERT_TRUE(worker.submit(run_of(2)));
+  ASSERT_TRUE(worker.submit(run_of(3)));
+  go_on.release(16);
+  EXPECT_EQ(worker.finish().joint.iterations, 3) << "the last look's fit is the verdict's";
+  EXPECT_EQ(looked, std::vector<std::size_t>{3});
 }
 
 TEST(BackgroundWorker, CanBeDroppedWithRunsStillWaiting) {

@@ -49,10 +49,11 @@ void watch_for_interrupt() {
 }
 
 void show_progress(cli::ProgressLine& line, std::string_view phase, std::uint32_t repeat,
-                   std::uint32_t repeats) {
+                   std::uint32_t repeats, bool at_most) {
   if (repeats == 0) return;
   line.show(static_cast<double>(repeat) / repeats,
-            fmt::format("run {} of {}, {}", std::min(repeat + 1, repeats), repeats, phase));
+            fmt::format("run {} of {}{}, {}", std::min(repeat + 1, repeats), at_most ? "at most " : "",
+                        repeats, phase));
 }
 
 /// What a check came to, before anybody is told.
@@ -108,7 +109,7 @@ std::string asked_by_master(const MasterSettings& master, const CheckStore& stor
 void show_progress(cli::ProgressLine& line, const api::CheckProgress& progress,
                    const Result<api::StationStatus>& status) {
   if (!status || !status->judging)
-    show_progress(line, progress.phase, progress.repeat, progress.repeats);
+    show_progress(line, progress.phase, progress.repeat, progress.repeats, progress.repeats_auto);
   else if (status->cause_searched > 0.0)
     line.show(status->cause_searched, "the brake is done; searching for the cause");
   else
@@ -128,9 +129,10 @@ int run_embedded(const RunOptions& options, const StationConfiguration& configur
     return cli::kStation;
 
   cli::ProgressLine line;
-  const bench::EmbeddedStation::Progress progress = [&line](CheckPhase phase, std::uint32_t repeat,
-                                                               std::uint32_t repeats) {
-    show_progress(line, to_string(phase), repeat, repeats);
+  const bool at_most = planned_repeats(options.request, configuration.check).automatic;
+  const bench::EmbeddedStation::Progress progress = [&line, at_most](CheckPhase phase, std::uint32_t repeat,
+                                                                     std::uint32_t repeats) {
+    show_progress(line, to_string(phase), repeat, repeats, at_most);
     return !interrupted;
   };
   const CauseSearch search{[&line](double share, const std::string& words) {
@@ -188,8 +190,8 @@ int finish_through_daemon(const RunOptions& options, const StationConfiguration&
 
 /// Follows this very check, and no other: after a restart of the daemon its numbers begin at 1 again, so that
 /// it is told by its record's id.
-int follow(const RunOptions& options, const StationConfiguration& configuration,
-           const api::Client& daemon, const api::StartedCheck& check) {
+int follow(const RunOptions& options, const StationConfiguration& configuration, const api::Client& daemon,
+           const api::StartedCheck& check) {
   using namespace std::chrono_literals;
   cli::ProgressLine line;
   bool stop_sent = false;
@@ -203,8 +205,7 @@ int follow(const RunOptions& options, const StationConfiguration& configuration,
       if (!stopped) cli::print_error(stopped.error().message + "; trying again");
       stop_sent = stopped.has_value();
     }
-    const Result<api::CheckProgress> progress =
-        daemon.progress(options.json != "-" && cli::colours_wanted());
+    const Result<api::CheckProgress> progress = daemon.progress(options.json != "-" && cli::colours_wanted());
     if (!progress) {
       if (++failures < 3) continue;
       line.clear();
@@ -242,7 +243,7 @@ int run_through_daemon(const RunOptions& options, const StationConfiguration& co
          "a "
          "second check replay the experiment that it designs ([check] trajectory)"});
   const api::Client daemon(configuration.control.address, configuration.control.port,
-                               configuration.control.token_file);
+                           configuration.control.token_file);
   const Result<api::StationStatus> status = daemon.status();
   if (!status) {
     if (const auto interface = can::inspect_interface(configuration.can.interface); !interface)
@@ -302,9 +303,21 @@ int run(RunOptions options, const CommonOptions& common) {
 void add_request_options(CLI::App& command, CheckRequest& request) {
   command.add_option("--serial", request.serial, "serial number of the brake")->required();
   command
-      .add_option("--repeats", request.repeats,
-                  "how often to run the trajectory (default: as configured, 20)")
-      ->check(CLI::Range(1, 200));
+      .add_option_function<std::string>(
+          "--repeats",
+          [&request](const std::string& given) {
+            request.repeats_auto = given == "auto";
+            request.repeats = request.repeats_auto ? 0 : static_cast<std::uint32_t>(std::stoul(given));
+          },
+          "how often to run the trajectory, or `auto`: until every limit is decided, the configured "
+          "repeats_most at most "
+          "(default: as configured, 20)")
+      ->type_name("NUMBER|auto")
+      ->check([](const std::string& given) {
+        const std::string wrong = CLI::Range(1, 200)(given);
+        return given == "auto" || wrong.empty() ? std::string()
+                                                : "must be a whole number from 1 to 200, or auto: " + given;
+      });
   command.add_option("--operator", request.operator_name, "who checks");
   command.add_option("--part-number", request.part_number, "part number of the brake");
   command.add_option("--batch", request.batch, "batch of the brake");

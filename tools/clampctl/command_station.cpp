@@ -29,7 +29,7 @@ int with_daemon(const CommonOptions& common, Ask ask) {
   const Result<StationConfiguration> configuration = bench::load_configuration(common.config);
   if (!configuration) return report(configuration.error(), cli::kBadInput);
   const api::Client daemon(configuration->control.address, configuration->control.port,
-                               configuration->control.token_file);
+                           configuration->control.token_file);
   // One may run on a simulated brake all the same.
   if (configuration->embedded() && !daemon.status())
     return report({"no daemon is configured: without [can] interface, `clampctl run` checks an embedded "
@@ -106,7 +106,8 @@ void print_status(const api::StationStatus& status) {
     fmt::print("  check      {}{}{}\n", status.serial, status.last_verdict.empty() ? "" : ": ",
                status.last_verdict);
   if (status.repeats > 0)
-    fmt::print("  running    {}, run {} of {}\n", status.phase, status.repeat + 1, status.repeats);
+    fmt::print("  running    {}, run {} of {}{}\n", status.phase, status.repeat + 1,
+               status.repeats_auto ? "at most " : "", status.repeats);
   fmt::print("  brake      {:.0f} N, {:.1f} rad/s, {:.3f} N m\n", status.force_N, status.velocity_rad_s,
              status.torque_Nm);
   fmt::print("  bus        {} {}, load {:.0f} %\n", status.interface, status.link, 100.0 * status.bus_load);

@@ -60,8 +60,9 @@ std::string headline(const api::StationStatus& status) {
     text += fmt::format("  {}: judging{}", status.serial,
                         status.cause_searched > 0.0 ? ", searching for the cause" : "");
   else if (status.repeats > 0)
-    text += fmt::format("  {}: run {} of {}, {}", status.serial, std::min(status.repeat + 1, status.repeats),
-                        status.repeats, status.phase);
+    text +=
+        fmt::format("  {}: run {} of {}{}, {}", status.serial, std::min(status.repeat + 1, status.repeats),
+                    status.repeats_auto ? "at most " : "", status.repeats, status.phase);
   else if (!status.last_verdict.empty())
     text += fmt::format("  {}: {}", status.serial, status.last_verdict);
   return text;
@@ -134,7 +135,7 @@ Result<api::Client> client(const CommonOptions& common, StationConfiguration& co
   if (!loaded) return tl::unexpected(loaded.error());
   configuration = std::move(*loaded);
   return api::Client(configuration.control.address, configuration.control.port,
-                         configuration.control.token_file);
+                     configuration.control.token_file);
 }
 
 /// How long the station may stay silent before the picture of it is taken away.
@@ -252,8 +253,7 @@ int print_address(const CommonOptions& common, const std::string& kiosk_file) {
     fmt::print("{}\n", *address);
     return cli::kSuccess;
   }
-  if (const Result<void> written = api::write_secret_file(kiosk_file, kiosk_page(*address), 0600);
-      !written)
+  if (const Result<void> written = api::write_secret_file(kiosk_file, kiosk_page(*address), 0600); !written)
     return cli::refuse(written.error());
   fmt::print("{}\n", std::filesystem::absolute(kiosk_file).string());
   return cli::kSuccess;

@@ -66,9 +66,9 @@ function showMotion() {
     showProgress(null);
     return show('running', 'OPENING', '', 'the brake is being opened');
   }
-  const { repeat, repeats, phase, serial } = status;
+  const { repeat, repeats, repeats_auto: atMost, phase, serial } = status;
   showProgress(repeats > 0 ? repeat / repeats : null);
-  const run = repeats > 0 ? `run ${Math.min(repeat + 1, repeats)} of ${repeats}` : '';
+  const run = repeats > 0 ? `run ${Math.min(repeat + 1, repeats)} of ${atMost ? 'at most ' : ''}${repeats}` : '';
   show('running', 'RUNNING', serial, [run, kPhases[phase] ?? ''].filter(Boolean).join(', '));
 }
 

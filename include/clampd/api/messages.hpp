@@ -58,12 +58,13 @@ struct StationStatus {
   bool clearable = false;
   std::string phase;
   std::uint32_t repeat = 0;
-  std::uint32_t repeats = 0;
-  std::string serial;  ///< of the check in progress or the last one
+  std::uint32_t repeats = 0;  ///< planned, or allowed at most
+  bool repeats_auto = false;  ///< the latter: fewer, if fewer decide every limit
+  std::string serial;         ///< of the check in progress or the last one
   std::string last_verdict;
-  std::uint64_t check = 0;  ///< its number since the daemon started; 0: there was none
-  std::string id;           ///< of its record, unique; empty: there was none
-  bool judging = false;     ///< the brake is done, the verdict is being made
+  std::uint64_t check = 0;      ///< its number since the daemon started; 0: there was none
+  std::string id;               ///< of its record, unique; empty: there was none
+  bool judging = false;         ///< the brake is done, the verdict is being made
   double cause_searched = 0.0;  ///< share of the search for a misfit's cause that is done; 0: none has begun
   std::uint64_t ticks = 0;
   std::uint64_t skipped = 0;
@@ -93,14 +94,12 @@ struct StationStatus {
   std::string clock;             ///< that it was set since the last check began; empty: it was not
   std::vector<PublishingChannel> publishing;  ///< empty: nothing is published
 };
-NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(StationStatus, station, version, state, fault, fault_text,
-                                                fault_state, clearable, phase, repeat, repeats, serial,
-                                                last_verdict, ticks, skipped, lateness_avg_us,
-                                                lateness_max_us, force_N, velocity_rad_s, torque_Nm,
-                                                interface, link, bus_load, simulated, realtime, next_serial,
-                                                notice, panel, master, storage, clock, check, judging,
-                                                publishing, cause_searched, id, clamped, clamped_N, open_id, opening,
-                                                open_result, open_reason, stops, stops_taken)
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(
+    StationStatus, station, version, state, fault, fault_text, fault_state, clearable, phase, repeat, repeats,
+    serial, last_verdict, ticks, skipped, lateness_avg_us, lateness_max_us, force_N, velocity_rad_s,
+    torque_Nm, interface, link, bus_load, simulated, realtime, next_serial, notice, panel, master, storage,
+    clock, check, judging, publishing, cause_searched, id, clamped, clamped_N, open_id, opening, open_result,
+    open_reason, stops, stops_taken, repeats_auto)
 
 /// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the
 /// same as a technician reads it.
@@ -110,7 +109,8 @@ struct CheckProgress {
   bool finished = false;
   std::string phase;
   std::uint32_t repeat = 0;
-  std::uint32_t repeats = 0;
+  std::uint32_t repeats = 0;  ///< planned, or allowed at most
+  bool repeats_auto = false;  ///< the latter: fewer, if fewer decide every limit
   nlohmann::ordered_json record;
   std::string table;
 };

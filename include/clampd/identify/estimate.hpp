@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <limits>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -66,6 +67,9 @@ struct EffectEstimate {
   std::array<double, 2> offset_sensitivity{};
 };
 
+/// Probability of calling runs different that are not.
+inline constexpr double kRunsDiffer = 1e-3;
+
 /// What an estimator found out from one or several runs: shared theta, each run its own initial state, every
 /// run with the same noise. Numbers are NaN where there is no estimate; entries of held parameters in the
 /// covariances are zero. Not identifiable: NaN for those parameters that the data do not determine.
@@ -83,6 +87,12 @@ struct Estimate {
   /// (covariance_over_runs).
   ParameterMatrix covariance_normalised;
   bool runs_differ = false;  ///< the latter: something changes from run to run
+  /// Of the noise estimates that each standard deviation rests on (Welch and Satterthwaite); infinite: as
+  /// good as known.
+  ParameterVector degrees_of_freedom = ParameterVector::Constant(std::numeric_limits<double>::infinity());
+  /// Chance that runs that differ by nothing but this noise scatter as much as these; 1 where it cannot be
+  /// told, as from one run. runs_differ takes 8 runs, fewer give no covariance; this takes 2.
+  double runs_agree_p = 1.0;
   /// The same if the torque reading were exact: the inverse of (14).
   ParameterMatrix covariance_exact_torque;
   /// Cluster-robust (sandwich) covariance over runs, which presumes no noise model; NaN for fewer than 8

@@ -82,6 +82,16 @@ struct SystematicRecord {
   bool operator==(const SystematicRecord&) const = default;
 };
 
+/// Why a check of as many repeats as its brake needs took this many.
+struct StoppingRecord {
+  std::uint32_t most = 0;  ///< repeats that were allowed
+  double coverage_factor =
+      0.0;  ///< half width of the guard band in standard deviations that are known, whenever it ends
+  std::string reason;  ///< "every limit decided after 4 runs", "the most that was allowed: 21; TC in doubt"
+
+  bool operator==(const StoppingRecord&) const = default;
+};
+
 /// Why a record does not count any more.
 struct VoidRecord {
   std::string reason;
@@ -105,12 +115,13 @@ struct CheckRecord {
   std::string limits_revision;
   std::string limits_sha256;
   std::string trajectory_sha256;
-  std::string instruments;  ///< JSON array as configured: name, serial, calibration date
-  bool simulated = false;   ///< the brake was a simulated one: such a result says nothing about hardware
-  std::string started;      ///< RFC 3339, UTC
-  std::string stopped;      ///< RFC 3339, UTC
-  double duration_s = 0.0;  ///< bench time
-  std::uint32_t repeats = 0;
+  std::string instruments;    ///< JSON array as configured: name, serial, calibration date
+  bool simulated = false;     ///< the brake was a simulated one: such a result says nothing about hardware
+  std::string started;        ///< RFC 3339, UTC
+  std::string stopped;        ///< RFC 3339, UTC
+  double duration_s = 0.0;    ///< bench time
+  std::uint32_t repeats = 0;  ///< that its verdict rests on, or that were planned
+  std::optional<StoppingRecord> stopping;  ///< nothing where their number was fixed
 
   Verdict verdict = Verdict::Error;
   bool marginal = false;

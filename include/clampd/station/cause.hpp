@@ -9,6 +9,7 @@
 namespace clampd {
 
 /// The runs of a check, and what else its record knows that a diagnosis of them needs.
+std::vector<Run> runs_of(const std::vector<RunRecord>& records);
 std::vector<Run> runs_of(const CheckRecord& record);
 DiagnoseOptions diagnose_options(const CheckRecord& record, const BrakeParameters& nominal);
 

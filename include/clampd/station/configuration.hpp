@@ -81,7 +81,11 @@ struct SupervisorSettings {
 };
 
 struct CheckSettings {
-  std::uint32_t repeats = 20;
+  std::uint32_t repeats = 20;  ///< unless repeats_auto
+  bool repeats_auto = false;   ///< as many as the brake needs, repeats_most at most
+  /// As a check of so many is decided by its value alone at the end, it errs no more often than one of 20
+  /// fixed repeats (docs/repeats.md).
+  std::uint32_t repeats_most = 21;
   std::string trajectory;  ///< run file; empty: the trajectory that ships with the station
   double tare_s = 0.5;
   double approach_velocity_rad_s = 20.0;
@@ -94,6 +98,8 @@ struct CheckSettings {
   std::string model;         ///< extended model whose effects are estimated too; empty: the base model
   bool diagnose = true;      ///< names the cause of runs that the model does not explain
   double deadline_s = 60.0;  ///< for the whole check; then TIMEOUT
+
+  std::uint32_t repeats_planned() const { return repeats_auto ? repeats_most : repeats; }
 };
 
 /// What a run must satisfy to say anything about the brake; otherwise the check is an ERROR, never a FAIL.

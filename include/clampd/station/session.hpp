@@ -16,6 +16,7 @@
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"
 #include "clampd/station/run_collector.hpp"
+#include "clampd/station/stopping.hpp"
 #include "clampd/station/verdict.hpp"
 #include "clampd/station/worker.hpp"
 
@@ -28,7 +29,16 @@ struct CheckRequest {
   std::string operator_name = {};
   std::string part_number = {};
   std::string batch = {};
+  bool repeats_auto =
+      false;  ///< as many as this brake needs, the configured most at most; `repeats` is 0 then
 };
+
+/// How many runs a request asks for, where the station is configured like that.
+struct PlannedRepeats {
+  std::uint32_t most = 0;
+  bool automatic = false;  ///< fewer, if fewer decide every limit
+};
+PlannedRepeats planned_repeats(const CheckRequest& request, const CheckSettings& settings);
 
 /// The same without white space around its texts: " X " and "X" are one brake, whoever asks.
 CheckRequest normalised(CheckRequest request);
@@ -74,7 +84,8 @@ class CheckSession {
  public:
   struct Progress {
     std::uint64_t samples = 0;
-    std::uint32_t repeats = 0;  ///< planned
+    std::uint32_t repeats = 0;  ///< planned, or allowed at most
+    bool repeats_auto = false;  ///< the latter
     std::uint32_t recorded = 0;
     std::uint32_t identified = 0;
     double cause_searched = 0.0;  ///< share of the search for a cause that is done; 0: none has begun
@@ -100,19 +111,29 @@ class CheckSession {
   /// What finish() found out in that search, if there was one.
   std::optional<Diagnosis> take_diagnosis() { return std::exchange(diagnosis_, std::nullopt); }
   Progress progress() const;
+  /// The runs so far decide every limit: no further one is needed. Any thread.
+  bool has_enough() const { return worker_.has_enough(); }
 
  private:
   const Diagnosis* name_cause(CheckRecord& record);
   void question_failure(CheckRecord& record);
   std::string advice_on_method(const CheckRecord& record, const ParameterVector& sd) const;
-  void count_misfit(const Estimate& joint, CheckRecord& record, ParameterVector& sd) const;
+  Looks looks();
+  bool are_enough(const std::vector<RunRecord>& runs, const Estimate& joint) const;
+  void record_stopping(const CheckFacts& facts, const Judgement& judgement, const Estimate& joint,
+                       CheckRecord& record) const;
+  std::optional<SystematicRecord> count_misfit(const Estimate& joint, const std::vector<RunRecord>& runs,
+                                               ParameterVector& sd) const;
+  std::optional<SystematicRecord> add_estimate(const Estimate& joint, const std::vector<RunRecord>& runs,
+                                               CheckFacts& facts) const;
   CheckFacts facts_of(CheckOutcome& outcome, const Estimate& joint, CheckRecord& record) const;
   bool is_by_output_errors() const;
 
   StationConfiguration configuration_;
   LimitSet limits_;
   std::int64_t started_utc_ns_;
-  std::uint32_t repeats_;
+  PlannedRepeats repeats_;
+  std::optional<StoppingRule> stopping_;  ///< nothing: a fixed number
   CheckRecord record_;
   RunCollector collector_;
   IdentificationWorker worker_;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -11,6 +12,12 @@
 #include "clampd/station/limits.hpp"
 
 namespace clampd {
+
+/// Half widths of guard bands, in the reported standard deviations.
+struct GuardBands {
+  ParameterVector parameters;
+  double effects = 0.0;  ///< of every parameter of an effect
+};
 
 /// What a check found out, as far as its verdict depends on it.
 struct CheckFacts {
@@ -24,9 +31,9 @@ struct CheckFacts {
   std::uint64_t ticks_skipped = 0;
   std::uint64_t samples_lost = 0;
   double tracking_rms_N = 0.0;
-  bool estimated = false;               ///< the joint fit converged to an identifiable estimate
-  std::string estimate_text;            ///< the estimator's own words
-  bool unexplained = false;             ///< there is none since no method explains the runs
+  bool estimated = false;     ///< the joint fit converged to an identifiable estimate
+  std::string estimate_text;  ///< the estimator's own words
+  bool unexplained = false;   ///< there is none since no method explains the runs
   /// Why the estimate is not the configured method's, and what to do; empty if it is.
   std::string other_method;
   ParameterVector estimate;             ///< SI
@@ -34,6 +41,7 @@ struct CheckFacts {
   std::vector<EffectEstimate> effects;  ///< of an extended model, their sd with the tare's part
   double misfit_force = 0.0;            ///< residual rms over what the known noise explains
   double misfit_velocity = 0.0;
+  std::optional<GuardBands> guard_bands;  ///< nothing: those of the limits, for a fixed number of repeats
 };
 
 struct Judgement {

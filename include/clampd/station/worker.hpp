@@ -19,8 +19,8 @@
 
 namespace clampd {
 
-/// How runs become parameters: identify_brake() with a method, identify_extended() with a model, or another in
-/// tests.
+/// How runs become parameters: identify_brake() with a method, identify_extended() with a model, or another
+/// in tests.
 using Estimator = std::function<Estimate(std::span<const Run>, const EstimatorOptions&)>;
 inline Estimator estimator_of(Method method) {
   return [method](std::span<const Run> runs, const EstimatorOptions& options) {
@@ -39,17 +39,27 @@ enum class WorkerMode {
   Synchronous,  ///< inside of submit() and finish(), for a station in virtual time
 };
 
-/// Identifies each run as it arrives, and all of them jointly at the end.
+/// Looks at the runs so far, to end a check once they are enough.
+struct Looks {
+  std::size_t first = 1;  ///< runs before the first look
+  /// Whether these are enough, given their joint estimate. Called by whoever identifies them.
+  std::function<bool(const std::vector<RunRecord>& runs, const Estimate& joint)> are_enough;
+};
+
+/// Identifies each run as it arrives, and all of them jointly at the end; with looks, also jointly after each
+/// run, unless the next one waits already. Runs that come after those that were enough are not taken.
 class IdentificationWorker {
  public:
   /// `capacity`: runs that may wait at once, at least 1. With the number of repeats, submit() never has to
   /// refuse.
-  IdentificationWorker(Estimator estimator, EstimatorOptions options, std::size_t capacity, WorkerMode mode);
+  IdentificationWorker(Estimator estimator, EstimatorOptions options, std::size_t capacity, WorkerMode mode,
+                       Looks looks = {});
   ~IdentificationWorker();
   IdentificationWorker(const IdentificationWorker&) = delete;
   IdentificationWorker& operator=(const IdentificationWorker&) = delete;
 
-  /// Never blocks on an estimate in the background mode. False if the queue is full: the run is not taken.
+  /// Never blocks on an estimate in the background mode. False if the queue is full, or if there are enough:
+  /// the run is not taken.
   bool submit(CollectedRun run);
 
   struct Outcome {
@@ -61,16 +71,24 @@ class IdentificationWorker {
 
   /// Runs identified so far; from any thread.
   std::uint32_t identified() const { return identified_.load(std::memory_order_relaxed); }
+  /// A look found them to be enough; from any thread.
+  bool has_enough() const { return has_enough_.load(std::memory_order_acquire); }
 
  private:
   void work();
   RunRecord identify(CollectedRun run) const;
+  void look();
+  Estimate fit_jointly() const;
 
   const Estimator estimator_;
   const EstimatorOptions options_;
   const std::size_t capacity_;
   const WorkerMode mode_;
-  std::vector<RunRecord> records_;  ///< the thread's until it is joined
+  const Looks looks_;
+  std::vector<RunRecord> records_;  ///< the thread's until it is joined, as the next two
+  Estimate joint_;                  ///< of the last look
+  std::size_t joint_runs_ = 0;      ///< that it was of
+  std::atomic<bool> has_enough_{false};
   std::atomic<std::uint32_t> identified_{0};
   std::mutex mutex_;
   std::condition_variable arrived_;

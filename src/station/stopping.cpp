@@ -1,0 +1,73 @@
+#include "clampd/station/stopping.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "clampd/base/assert.hpp"
+#include "clampd/record/check_record.hpp"
+#include "clampd/statistics/distributions.hpp"
+#include "clampd/statistics/sequential.hpp"
+
+namespace clampd {
+namespace {
+
+/// Chance that a standard normal variable exceeds `z`.
+double upper_tail(double z) {
+  return 0.5 * std::erfc(z / std::sqrt(2.0));
+}
+
+bool do_runs_differ_without_scatter(const Estimate& joint) {
+  // With enough runs their scatter is the uncertainty, and they need not agree.
+  return joint.runs_agree_p < kRunsDiffer && !joint.runs_differ;
+}
+
+}  // namespace
+
+StoppingRule::StoppingRule(double guard_band_k, std::uint32_t most)
+    : most_(most),
+      coverage_factor_(statistics::repeated_look_factor(
+          upper_tail(guard_band_k), static_cast<int>(kFirstLook), static_cast<int>(most))) {
+  CLAMPD_ASSERT(most >= kFirstLook);
+}
+
+GuardBands StoppingRule::guard_bands(const Estimate& joint) const {
+  GuardBands bands{ParameterVector::Constant(coverage_factor_), coverage_factor_};
+  for (Eigen::Index i = 0; i < bands.parameters.size(); ++i) {
+    const double degrees = joint.degrees_of_freedom[i];
+    if (!std::isfinite(degrees)) continue;
+    bands.parameters[i] = statistics::with_estimated_deviation(coverage_factor_, degrees);
+    // Reported deviations are already as much larger as 95 % intervals ask for; a scatter over the runs is
+    // not.
+    if (!joint.runs_differ)
+      bands.parameters[i] *=
+          statistics::normal_quantile(0.975) / statistics::student_t_upper_quantile(0.025, degrees);
+  }
+  if (joint.runs_differ) bands.effects = bands.parameters.maxCoeff();
+  return bands;
+}
+
+bool StoppingRule::is_enough(const Judgement& judgement, const Estimate& joint) {
+  const bool in_doubt = std::any_of(
+      judgement.parameters.begin(), judgement.parameters.end(),
+      [](const ParameterRecord& parameter) { return parameter.verdict == ParameterVerdict::Marginal; });
+  return is_about_the_brake(judgement.verdict) && !in_doubt && !do_runs_differ_without_scatter(joint);
+}
+
+std::string StoppingRule::why_most(const Judgement& judgement, const Estimate& joint) const {
+  std::string doubt;
+  for (const ParameterRecord& parameter : judgement.parameters)
+    if (parameter.verdict == ParameterVerdict::Marginal)
+      doubt += (doubt.empty() ? "" : ", ") + parameter.name;
+  std::string why;
+  if (!doubt.empty())
+    why = fmt::format("; {} in doubt", doubt);
+  else if (do_runs_differ_without_scatter(joint))
+    why = "; the runs differ from each other by more than their noise";
+  else if (!is_about_the_brake(judgement.verdict))
+    why = "; they say nothing about the brake";
+  return fmt::format("the most that was allowed: {}{}", most_, why);
+}
+
+}  // namespace clampd

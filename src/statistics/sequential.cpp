@@ -1,0 +1,99 @@
+#include "clampd/statistics/sequential.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <numbers>
+#include <vector>
+
+#include "clampd/base/assert.hpp"
+#include "clampd/statistics/distributions.hpp"
+
+namespace clampd::statistics {
+namespace {
+
+double upper_tail(double z) {
+  return 0.5 * std::erfc(z / std::numbers::sqrt2);
+}
+
+double density(double z) {
+  return std::exp(-0.5 * z * z) / std::sqrt(2.0 * std::numbers::pi);
+}
+
+/// Further than this a standard normal variable is never found.
+constexpr double kFar = 7.0;
+
+/// Where the sum stands, among the paths that have not crossed: f(x) at Gauss's nodes, in ascending order.
+struct Paths {
+  std::vector<double> x, weight, f;
+
+  /// Nodes over an interval, four in each two units: the kernel's own width is one.
+  Paths(double from, double to) {
+    constexpr std::array kNodes{-0.8611363115940526, -0.3399810435848563, 0.3399810435848563,
+                                0.8611363115940526};
+    constexpr std::array kWeights{0.3478548451374538, 0.6521451548625461, 0.6521451548625461,
+                                  0.3478548451374538};
+    const auto panels = std::max(1, static_cast<int>(std::ceil((to - from) / 2.0)));
+    const double half = 0.5 * (to - from) / panels;
+    for (int i = 0; i < panels; ++i)
+      for (std::size_t k = 0; k < kNodes.size(); ++k) {
+        x.push_back(from + (2.0 * i + 1.0 + kNodes[k]) * half);
+        weight.push_back(kWeights[k] * half);
+      }
+    f.assign(x.size(), 0.0);
+  }
+};
+
+/// f after one more share of information, on the nodes of `next`.
+void propagate(const Paths& paths, Paths& next) {
+  std::size_t first = 0;
+  for (std::size_t i = 0; i < next.x.size(); ++i) {
+    while (first < paths.x.size() && paths.x[first] < next.x[i] - kFar) ++first;
+    for (std::size_t j = first; j < paths.x.size() && paths.x[j] <= next.x[i] + kFar; ++j)
+      next.f[i] += paths.weight[j] * paths.f[j] * density(next.x[i] - paths.x[j]);
+  }
+}
+
+/// That a sum of independent standard normal shares ever exceeds factor sqrt(n), at a look after n of them.
+double crossing_probability(double factor, int first, int most) {
+  const auto bound = [factor](int n) { return factor * std::sqrt(n); };
+  const auto paths_below = [&](int n) {
+    return Paths(std::min(-kFar * std::sqrt(n), bound(n) - 2.0), bound(n));
+  };
+  double crossed = upper_tail(factor);
+  Paths paths = paths_below(first);
+  const double sd = std::sqrt(first);
+  for (std::size_t i = 0; i < paths.x.size(); ++i) paths.f[i] = density(paths.x[i] / sd) / sd;
+  for (int n = first + 1; n <= most; ++n) {
+    for (std::size_t i = 0; i < paths.x.size(); ++i)
+      crossed += paths.weight[i] * paths.f[i] * upper_tail(bound(n) - paths.x[i]);
+    if (n == most) break;
+    Paths next = paths_below(n);
+    propagate(paths, next);
+    paths = std::move(next);
+  }
+  return crossed;
+}
+
+}  // namespace
+
+double repeated_look_factor(double probability, int first, int most) {
+  CLAMPD_ASSERT(probability > 0.0 && probability < 1.0 && first >= 1 && most >= first);
+  double low = -normal_quantile(probability);
+  if (first == most) return low;
+  double high = -normal_quantile(probability / (most - first + 1));  // Bonferroni
+  constexpr double kAccuracy = 2e-4;
+  while (high - low > kAccuracy) {
+    const double middle = 0.5 * (low + high);
+    (crossing_probability(middle, first, most) > probability ? low : high) = middle;
+  }
+  return high;
+}
+
+double with_estimated_deviation(double factor, double degrees) {
+  if (std::isinf(degrees)) return factor;
+  return student_t_upper_quantile(upper_tail(factor), degrees);
+}
+
+}  // namespace clampd::statistics
