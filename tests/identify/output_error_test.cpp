@@ -61,6 +61,35 @@ TEST(OutputError, FitsRepeatsJointlyAndReportsThem) {
     EXPECT_LT(std::abs(error[i]), 4.0 * std::sqrt(joint.covariance_normalised(i, i))) << i;
 }
 
+TEST(OutputError, TellsFromTwoRunsOnWhetherTheyAgree) {
+  EXPECT_EQ(identify_output_error(repeats(1, {}, 5), {}).runs_agree_p, 1.0);
+  int unlikely = 0;
+  for (unsigned seed = 100; seed < 140; ++seed) {
+    const Estimate alike = identify_output_error(repeats(2 + seed % 3, {}, seed), {});
+    ASSERT_TRUE(alike.converged()) << alike.message;
+    unlikely += alike.runs_agree_p < 0.05;
+  }
+  EXPECT_LE(unlikely, 7) << "two are expected, more than seven in one of a thousand such tests";
+  BrakeParameters other;
+  other.theta[k2] *= 1.05;
+  auto runs = repeats(1, {}, 6);
+  runs.push_back(repeats(1, other, 7).front());
+  const Estimate mixed = identify_output_error(runs, {});
+  EXPECT_LT(mixed.runs_agree_p, kRunsDiffer);
+  EXPECT_FALSE(mixed.runs_differ) << "two runs are no scatter that could be an uncertainty";
+  EXPECT_TRUE(mixed.covariance_over_runs.array().isNaN().all());
+}
+
+TEST(OutputError, DeviationsRestOnAsMuchAsIsKnownOfTheTorquesNoise) {
+  const auto runs = repeats(2, {}, 8);
+  EstimatorOptions exact_torque;
+  exact_torque.noise_torque_Nm = 0.0;
+  const Estimate given = identify_output_error(runs, exact_torque);
+  EXPECT_TRUE(given.degrees_of_freedom.array().isInf().all()) << "nothing of it is estimated";
+  const Estimate estimated = identify_output_error(runs, {});
+  EXPECT_TRUE((estimated.degrees_of_freedom.array() >= 4.0).all());
+}
+
 TEST(OutputError, FindsADifferentClearanceOfEveryRun) {
   const auto runs = repeats(3, {}, 3, 75.0, 1.5, 1.0);
   const auto summary = identify_output_error(runs, {});

@@ -41,6 +41,21 @@ class CommandLine : public ::testing::Test {
 
 constexpr const char* kRunHeader = "time_s,torque_Nm,velocity_rad_s,force_N\n";
 
+TEST_F(CommandLine, ChecksABrakeAsOftenAsItNeeds) {
+  const Outcome outcome = clampctl("run --serial GOOD-1 --repeats auto --json check.json");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+  const auto document = nlohmann::json::parse(read("check.json"));
+  EXPECT_EQ(document.at("verdict"), "PASS");
+  const auto& stopping = document.at("stopping");
+  EXPECT_EQ(stopping.at("rule"), "auto");
+  EXPECT_EQ(stopping.at("most"), 21);
+  EXPECT_EQ(stopping.at("reason"), "every limit decided after 4 runs");
+  EXPECT_GT(stopping.at("coverage_factor"), 2.0);
+  EXPECT_EQ(document.at("repeats"), 4);
+  EXPECT_EQ(document.at("runs").size(), 4u);
+  EXPECT_THAT(clampctl("results last").output, HasSubstr("every limit decided after 4 runs"));
+}
+
 TEST_F(CommandLine, ChecksAGoodBrake) {
   const Outcome outcome = clampctl("run --serial GOOD-1 --repeats 8 --json check.json");
   EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
@@ -280,6 +295,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadInput{"NoSerial", "run --json out.json", "--serial"},
         BadInput{"EmptySerial", "run --serial '' --json out.json", "serial"},
         BadInput{"NoRepeats", "run --serial A --repeats 0 --json out.json", "repeats"},
+        BadInput{"FewRepeats", "run --serial A --repeats few --json out.json",
+                 "--repeats: must be a whole number from 1 to 200, or auto"},
         BadInput{"ManyRepeats", "run --serial A --repeats many --json out.json", "many"},
         BadInput{"RunNoConfiguration", "run --serial A --config nowhere.toml --json out.json",
                  "nowhere.toml"},
