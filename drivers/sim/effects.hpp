@@ -2,6 +2,7 @@
 
 #include <array>
 #include <string>
+#include <span>
 #include <string_view>
 
 #include "clampd/base/result.hpp"
@@ -98,6 +99,16 @@ inline constexpr std::array<EffectInfo, 23> kEffectTable{{
 /// Sets one effect. Errors: an unknown name (the message lists the known ones), a value that is not within
 /// the table.
 Result<void> set_effect(Effects& effects, std::string_view name, double value);
+
+/// A parameter of an effect, as a model file has it.
+struct EffectParameterValue {
+  std::string_view name;
+  double value;
+};
+
+/// Sets an effect to what a model's parameters say of it. The simulated brake has one form of each effect; parameters that mean another
+/// form (another order of cogging, say) are refused, with what the simulated brake can do instead.
+Result<void> set_effect(Effects& effects, std::string_view name, std::span<const EffectParameterValue> parameters);
 
 /// The same from "NAME=VALUE", as typed by a user.
 Result<void> set_effect(Effects& effects, std::string_view assignment);

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -28,34 +29,9 @@ std::string_view to_string(Location location) noexcept {
 
 std::span<const Effect* const> effects() {
   static const std::array kCatalogue{
-      // what acts on the motor
-      &torque_lag(),
-      &torque_gain(),
-      &torque_offset(),
-      // friction and inertia
-      &coulomb_load(),
-      &friction_asymmetry(),
-      &quadratic_drag(),
-      &friction_drift(),
-      &cogging(),
-      &inertia_error(),
-      &ratio_error(),
-      &presliding(),
-      // the pads
-      &backlash(),
-      &stiffness_shape(),
-      &stiffness_hysteresis(),
-      &pad_damping(),
-      &pad_relaxation(),
-      // the readings
-      &force_lag(),
-      &velocity_lag(),
-      &velocity_offset(),
-      &force_offset(),
-      &force_saturation(),
-      &force_hum(),
-      &channel_skew(),
-      &outliers(),
+#define CLAMPD_EFFECT(name) &name(),
+#include "src/brake/effects/catalogue.inc"
+#undef CLAMPD_EFFECT
   };
   return kCatalogue;
 }
@@ -112,6 +88,40 @@ bool is_neutral(const EffectValues& values) {
     has_strength = true;
   }
   return has_strength;
+}
+
+std::string size_in_words(double value, std::string_view unit) {
+  if (unit == "s") return fmt::format("{:.2g} ms", 1e3 * value);
+  if (unit == "1") return fmt::format("{:.2g} %", 100.0 * value);
+  if (unit == "rad" && std::abs(value) < 0.01) return fmt::format("{:.3g} mrad", 1e3 * value);
+  return fmt::format("{:.3g} {}", value, unit);
+}
+
+/// Of the strengths the one that is known to be there, by its name where there are several.
+std::string effects_detail::strength_in_words(const EffectInfo& info, std::span<const double> values, std::span<const double> sds) {
+  std::size_t strongest = 0;
+  double most = 0.0;
+  int count = 0;
+  for (std::size_t i = 0; i < info.parameters.size(); ++i) {
+    if (info.parameters[i].role != EffectParameter::Role::Strength) continue;
+    ++count;
+    const double certainty = std::abs(values[i] - info.parameters[i].neutral) / sds[i];
+    if (certainty > most) {
+      most = certainty;
+      strongest = i;
+    }
+  }
+  const EffectParameter& parameter = info.parameters[strongest];
+  const std::string size = size_in_words(values[strongest], parameter.unit);
+  return count > 1 ? fmt::format("{} {}", parameter.name, size) : size;
+}
+
+std::string Effect::in_words(std::span<const double> values, std::span<const double> sds, double) const {
+  return fmt::format("{} ({})", info().cause, effects_detail::strength_in_words(info(), values, sds));
+}
+
+std::string in_words(const EffectValues& values, std::span<const double> sds, double amplitude) {
+  return values.effect->in_words(values.values, sds, amplitude);
 }
 
 EffectDelays delays_of(const EffectValues& values) {

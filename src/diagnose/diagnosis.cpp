@@ -179,7 +179,12 @@ bool is_implausible(const ParameterVector& theta, const ParameterVector& nominal
 bool contradicts(const TorqueWhileOff& off, const Hypothesis& base, std::span<const Run> runs) {
   constexpr double kPlainly_sds = 5.0, kNone_sds = 3.0;
   if (std::abs(off.mean_Nm) < kPlainly_sds * off.sd_Nm) return false;
-  const EffectValues none{find_effect("torque-offset"), {0.0}};
+  const auto catalogue = effects();
+  const auto offset = std::find_if(catalogue.begin(), catalogue.end(), [](const Effect* effect) {
+    return info_of(*effect).is_zero && info_of(*effect).location == Location::TorqueReading;
+  });
+  if (offset == catalogue.end()) return false;
+  const EffectValues none{*offset, {0.0}};
   const StepForecast seen =
       forecast_each(fit_runs(runs), base.estimate, std::span(&none, 1), base.threads).front();
   if (seen.step.size() == 0) return false;
@@ -193,7 +198,7 @@ bool is_left_by_tare(const Selection& selection, std::size_t effect, const Eigen
                      const DiagnoseOptions& options) {
   const ExtendedParameters& model = selection.chosen.estimate.parameters;
   const EffectInfo& info = info_of(*model.effects[effect].effect);
-  if (!info.is_zero || !options.tare_sd) return false;
+  if (!info.is_zero || info.location == Location::TorqueReading || !options.tare_sd) return false;
   const ExtendedBrake brake(model);
   const auto places = brake.places();
   const auto at = std::find_if(places.begin(), places.end(),

@@ -155,7 +155,7 @@ void add_otherwise_chosen(const Hypothesis& hypothesis, std::size_t effect, std:
                           std::vector<Hypothesis>& list) {
   const EffectValues& values = hypothesis.estimate.parameters.effects[effect];
   const EffectInfo& info = info_of(*values.effect);
-  if (!delays_of(values).none() || info.name == kSpikes) return;
+  if (!delays_of(values).none() || info.removes_readings) return;
   for (std::size_t i = 0; i < info.parameters.size(); ++i) {
     if (std::find(roles.begin(), roles.end(), info.parameters[i].role) == roles.end()) continue;
     for (const double choice : info.parameters[i].starts) {
@@ -179,7 +179,7 @@ Hypothesis taken_out(const Hypothesis& hypothesis, std::size_t effect, std::span
   reduced.unused_log_likelihood = hypothesis.unused_log_likelihood;
   reduced.degrees = hypothesis.degrees - degrees_of(*removed.effect, recorded.size());
   const EffectDelays delays = delays_of(removed);
-  if (!delays.none() || info_of(*removed.effect).name == kSpikes) {
+  if (!delays.none() || info_of(*removed.effect).removes_readings) {
     // The readings as recorded, and then as the effects that are left see them.
     reduced.runs = fit_runs(recorded, hypothesis.runs.front().torque_while_off);
     reduced.unused_log_likelihood = 0.0;
@@ -247,7 +247,7 @@ class RoughFits {
     for (const Start& start : candidate_.starts) {
       if (fits > 0 && (fits >= kMaxFits || start.predicted_gain < kWorthAFit * candidate_.predicted_gain))
         break;
-      if (is_scanned(*candidate_.effect) && gain() > start.predicted_gain) break;
+      if (info_of(*candidate_.effect).order_scan && gain() > start.predicted_gain) break;
       const bool other_shape = info_of(*candidate_.effect).parameters.size() > 1;
       if (fits > 0 && !other_shape && gain() > kStuck * candidate_.predicted_gain) break;
       ++fits;
@@ -401,7 +401,7 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
       if (candidate.fitted.log_likelihood() < reached + kHelps_nats) break;
     }
   }
-  if (is_scanned(*candidate.effect)) {
+  if (info_of(*candidate.effect).order_scan) {
     // Beside one period another stands out that the base model hides: perhaps that is the only one.
     Candidate beside;
     beside.effect = candidate.effect;

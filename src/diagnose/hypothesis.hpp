@@ -9,9 +9,6 @@
 
 namespace clampd::diagnosing {
 
-/// The effect without equations: readings that its search leaves out.
-inline constexpr std::string_view kSpikes = "outliers";
-
 /// A model with the runs as it sees them: channels moved back that it says are late, readings left out that
 /// it says are spikes.
 struct Hypothesis {
@@ -99,7 +96,7 @@ Hypothesis without_any(const Hypothesis& hypothesis, std::span<const Run> record
 /// runs as they are.
 std::vector<Hypothesis> otherwise_chosen(const Hypothesis& hypothesis);
 
-/// Spikes: readings that are far off by themselves. `filtered`: the hypothesis's runs.
-Candidate look_for_outliers(const Hypothesis& hypothesis, std::span<const FilteredRun> filtered);
+/// Readings that are far off by themselves, as an effect that removes readings. `filtered`: the hypothesis's runs.
+Candidate look_for_spikes(const Effect& effect, const Hypothesis& hypothesis, std::span<const FilteredRun> filtered);
 
 }  // namespace clampd::diagnosing

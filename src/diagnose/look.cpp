@@ -16,13 +16,7 @@ namespace {
 
 using Role = EffectParameter::Role;
 
-/// Scan of a periodic torque over the motor angle: finer than what one run over the whole travel resolves.
-constexpr double kScanFirst = 0.4;
-constexpr double kScanLast = 90.0;
-constexpr double kScanStep = 0.12;
-constexpr std::size_t kPeaks = 2;
-constexpr double kNeighbourhood = 0.5;
-constexpr double kFineStep = 0.025;
+constexpr std::size_t kPeaks = 2;  // of a scan, that are looked at closely
 constexpr std::size_t kMaxPeaks = 4;
 constexpr Eigen::Index kScanTogether = 64;  // orders that fit the cache
 
@@ -256,10 +250,6 @@ double degrees_of(const Effect& effect, std::size_t runs) {
   return degrees > 0.0 ? degrees : kSpikeDegrees;
 }
 
-bool is_scanned(const Effect& effect) {
-  return info_of(effect).name == "cogging";
-}
-
 void predict(Candidate& candidate) {
   candidate.predicted_gain = candidate.starts.empty() ? 0.0 : candidate.starts.front().predicted_gain;
   candidate.predicted_significance_nats =
@@ -269,8 +259,8 @@ void predict(Candidate& candidate) {
 void add_peaks(const Hypothesis& hypothesis, std::span<const FilteredRun> filtered, Candidate& candidate) {
   if (filtered.empty()) return;
   const SignalScorer scorer(hypothesis.runs, hypothesis.estimate, hypothesis.threads);
-  const Orders all{kScanFirst, kScanStep,
-                   static_cast<Eigen::Index>((kScanLast - kScanFirst) / kScanStep) + 1};
+  const OrderScan& grid = *info_of(*candidate.effect).order_scan;
+  const Orders all{grid.first, grid.step, static_cast<Eigen::Index>((grid.last - grid.first) / grid.step) + 1};
   const auto promises_more = [](const Start& a, const Start& b) {
     return a.predicted_gain > b.predicted_gain;
   };
@@ -281,12 +271,12 @@ void add_peaks(const Hypothesis& hypothesis, std::span<const FilteredRun> filter
   for (const Start& start : rough) {
     if (centres.size() == kPeaks) break;
     if (std::any_of(centres.begin(), centres.end(),
-                    [&](double other) { return std::abs(other - order(start)) < 2.0 * kNeighbourhood; }))
+                    [&](double other) { return std::abs(other - order(start)) < 2.0 * grid.neighbourhood; }))
       continue;
     centres.push_back(order(start));
-    const double first = std::max(kScanFirst, order(start) - kNeighbourhood);
+    const double first = std::max(grid.first, order(start) - grid.neighbourhood);
     const std::vector<Start> fine =
-        scan({first, kFineStep, static_cast<Eigen::Index>(2.0 * kNeighbourhood / kFineStep) + 1},
+        scan({first, grid.fine_step, static_cast<Eigen::Index>(2.0 * grid.neighbourhood / grid.fine_step) + 1},
              *candidate.effect, scorer, filtered, hypothesis.threads);
     for (std::size_t i = 1; i + 1 < fine.size(); ++i)
       if (promises_more(fine[i], fine[i - 1]) && !promises_more(fine[i + 1], fine[i]))
@@ -325,9 +315,9 @@ std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypot
     candidate.effect = &effect;
     candidate.degrees = degrees_of(effect, hypothesis.runs.size());
     candidate.alternatives = choices_of(effect);
-    if (info_of(effect).name == kSpikes) {
-      work.emplace_back([&] { candidate = look_for_outliers(hypothesis, filtered); });
-    } else if (is_scanned(effect)) {
+    if (info_of(effect).removes_readings) {
+      work.emplace_back([&] { candidate = look_for_spikes(effect, hypothesis, filtered); });
+    } else if (info_of(effect).order_scan) {
       work.emplace_back([&] { add_peaks(hypothesis, filtered, candidate); });
     } else {
       for (std::vector<double>& values : combinations(effect, recorded))

@@ -7,7 +7,7 @@
 
 namespace clampd::diagnosing {
 
-/// Everything about how promising effects are beside a hypothesis, without fitting them; outliers, which have
+/// Everything about how promising effects are beside a hypothesis, without fitting them; spikes, which have
 /// nothing to fit, are found. One candidate for each, in that order.
 std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypothesis& hypothesis,
                                std::span<const Run> recorded);
@@ -21,10 +21,7 @@ bool room_for(const Hypothesis& hypothesis, std::span<const EffectValues> furthe
 /// Parameters that an effect adds to a model of so many runs, those of each run among them.
 double degrees_of(const Effect& effect, std::size_t runs);
 
-/// Whether its starts are peaks of a scan, each of which promises about what it can bring.
-bool is_scanned(const Effect& effect);
-
-/// Starts at the peaks of what a scan over the orders promises. Runs over a short stretch of the motor angle
+/// Starts at the peaks of what the scan of its effect promises, each about what it can bring. Runs over a short stretch of the motor angle
 /// make peaks beside the true one, too close for the scan, that a fit does not leave: the best are looked at
 /// closely. `filtered`: the hypothesis's runs.
 void add_peaks(const Hypothesis& hypothesis, std::span<const FilteredRun> filtered, Candidate& candidate);

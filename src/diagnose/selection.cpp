@@ -424,7 +424,7 @@ bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Sele
   Selector selector(runs, options);
   double formed = 0.0;
   for (const Selected& selected : selection.effects)
-    if (selected.name != kSpikes) formed += selected.gain;
+    if (!info_of(*find_effect(selected.name)).removes_readings) formed += selected.gain;
   FitTask task{.hypothesis = selection.chosen,
                .words = "trying every effect",
                .until = selection.share + 0.5 * (0.95 - selection.share),
@@ -440,7 +440,7 @@ bool add_effect(std::span<const Run> runs, const SelectionOptions& options, Sele
   const std::vector<Candidate>& candidates = selection.stages.back();
   if (candidates.empty() || !selector.is_alarm(candidates.front(), others)) return false;
   const Candidate& best = candidates.front();
-  if (best.name() != kSpikes && best.gain < kMaterial * formed) return false;
+  if (!info_of(*best.effect).removes_readings && best.gain < kMaterial * formed) return false;
   selection.effects.push_back(
       {std::string(best.name()), best.gain, best.significance_nats,
        rivals_among(candidates, best.name(), best.significance_nats, best.fitted, selector.alarm(others))});

@@ -9,70 +9,16 @@ namespace clampd::diagnosing {
 
 namespace {
 
-/// Values with a size that people can read: seconds as milliseconds, shares as per cent, small angles as
-/// milliradians.
-std::string size_of(const EstimatedParameter& parameter) {
-  if (parameter.unit == "s") return fmt::format("{:.2g} ms", 1e3 * parameter.value);
-  if (parameter.unit == "1") return fmt::format("{:.2g} %", 100.0 * parameter.value);
-  if (parameter.unit == "rad" && std::abs(parameter.value) < 0.01)
-    return fmt::format("{:.3g} mrad", 1e3 * parameter.value);
-  return fmt::format("{:.3g} {}", parameter.value, parameter.unit);
-}
-
-const EstimatedParameter* parameter_of(const NamedEffect& effect, std::string_view name) {
-  for (const EstimatedParameter& parameter : effect.parameters)
-    if (parameter.name == name) return &parameter;
-  return nullptr;
-}
-
-/// Of the strengths the one that is known to be there, by its name where there are several.
-std::string strength_of(const NamedEffect& effect) {
-  const std::vector<EffectParameter>& table = info_of(*find_effect(effect.name)).parameters;
-  const EstimatedParameter* strongest = &effect.parameters.front();
-  double most = 0.0;
-  int count = 0;
-  for (std::size_t i = 0; i < table.size(); ++i) {
-    if (table[i].role != EffectParameter::Role::Strength) continue;
-    ++count;
-    const EstimatedParameter& parameter = effect.parameters[i];
-    const double certainty = std::abs(parameter.value - table[i].neutral) / parameter.sd;
-    if (certainty > most) {
-      most = certainty;
-      strongest = &parameter;
-    }
+std::string words_of(const NamedEffect& named) {
+  EffectValues values{find_effect(named.name), {}};
+  std::vector<double> sds;
+  for (const EstimatedParameter& parameter : named.parameters) {
+    values.values.push_back(parameter.value);
+    sds.push_back(parameter.sd);
   }
-  return count > 1 ? fmt::format("{} {}", strongest->name, size_of(*strongest)) : size_of(*strongest);
-}
-
-std::string words_of(const NamedEffect& effect) {
-  const std::string cause(info_of(*find_effect(effect.name)).cause);
-  if (effect.name == "channel-skew") {
-    const double late = parameter_of(effect, "fraction")->value + parameter_of(effect, "whole")->value;
-    return fmt::format("the reading of {} comes {:.2g} samples late", parameter_of(effect, "channel")->choice,
-                       late);
-  }
-  if (effect.name == "cogging") {
-    const double amplitude = std::hypot(effect.parameters[0].value, effect.parameters[1].value);
-    return fmt::format("{}: {:.2g} N m, {:.3g} times a revolution", cause, amplitude,
-                       effect.parameters[2].value);
-  }
-  if (effect.name == "force-lag")
-    return fmt::format("the reading of clamp force comes {} late, as through a filter",
-                       size_of(effect.parameters[0]));
-  if (effect.name == "velocity-lag")
-    return fmt::format("the reading of velocity comes {} late, as through a filter",
-                       size_of(effect.parameters[0]));
-  if (effect.name == "torque-lag")
-    return fmt::format("the acting torque comes {} later than its reading", size_of(effect.parameters[0]));
-  if (effect.name == "force-hum")
-    return fmt::format("the mains hum on the reading of clamp force ({}, {})",
-                       size_of(effect.parameters.back()), size_of(effect.parameters.front()));
-  if (effect.name == "outliers")
-    return fmt::format("single readings of {} are far off: {} of them",
-                       parameter_of(effect, "channel")->choice, size_of(effect.parameters[0]));
-  if (effect.name == "friction-drift")
-    return fmt::format("{} ({} a run at first)", cause, strength_of(effect));
-  return fmt::format("{} ({})", cause, strength_of(effect));
+  // Beyond the effect's own parameters: the amplitude of its free states.
+  const std::size_t own = info_of(*values.effect).parameters.size();
+  return in_words(values, sds, named.parameters.size() > own ? named.parameters[own].value : NAN);
 }
 
 std::string capital(std::string text) {
@@ -128,8 +74,7 @@ std::string unseen_words(const Effect& effect, double blindness) {
   std::string smallest;
   for (const EffectParameter& parameter : info.parameters)
     if (parameter.role == EffectParameter::Role::Strength) {
-      const EstimatedParameter least{"", std::string(parameter.unit), 7.0 * blindness * parameter.scale, NAN};
-      smallest = fmt::format("below {} it could not have been seen", size_of(least));
+      smallest = fmt::format("below {} it could not have been seen", size_in_words(7.0 * blindness * parameter.scale, parameter.unit));
       break;
     }
   return fmt::format("{}: it shows in {}", smallest, info.excitation);

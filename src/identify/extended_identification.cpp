@@ -76,7 +76,7 @@ class Extension {
     model_.base.fixed = options.start.fixed;
     for (const EffectValues& effect : model_.effects) {
       CLAMPD_ASSERT(effect.values.size() == info_of(*effect.effect).parameters.size());
-      has_spikes_ = has_spikes_ || info_of(*effect.effect).name == "outliers";
+      has_spikes_ = has_spikes_ || info_of(*effect.effect).removes_readings;
     }
     move_by(delays_of(model_), runs_);
     settings_.max_iterations = options.max_iterations;
@@ -426,9 +426,12 @@ void fill_effects(const Extension& extension, const Precision& precision, Estima
 }
 
 Result<void> check_extended_options(const EstimatorOptions& options) {
-  if (options.loss != Loss::Squared)
-    return failure(
-        "a robust loss is for the base model; let a diagnosis put the effect outliers into the model");
+  if (options.loss != Loss::Squared) {
+    std::string names;
+    for (const Effect* effect : effects())
+      if (info_of(*effect).removes_readings) names += fmt::format("{}{}", names.empty() ? "" : " or ", info_of(*effect).name);
+    return failure(fmt::format("a robust loss is for the base model; let a diagnosis put the effect {} into the model", names));
+  }
   const int known = options.noise_force_N.has_value() + options.noise_velocity_rad_s.has_value() +
                     options.noise_torque_Nm.has_value();
   if (known != 0 && known != 3)

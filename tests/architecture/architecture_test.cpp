@@ -29,18 +29,53 @@ bool is_source(const fs::path& path) {
   return kExtensions.count(path.extension().string()) > 0;
 }
 
+struct SourceFile {
+  std::string path;  ///< in the tree
+  std::string content;
+};
+
+std::vector<SourceFile> product_sources() {
+  std::vector<SourceFile> files;
+  for (const char* folder : {"include", "src", "rt", "drivers", "tools"})
+    for (const auto& entry : fs::recursive_directory_iterator(kTree / folder))
+      if (entry.is_regular_file() && is_source(entry.path()))
+        files.push_back({fs::relative(entry.path(), kTree).generic_string(), content_of(entry.path())});
+  return files;
+}
+
 TEST(Architecture, TheTreeKeepsItsRules) {
-  int files = 0;
-  for (const char* folder : {"include", "src", "rt", "drivers", "tools"}) {
-    for (const auto& entry : fs::recursive_directory_iterator(kTree / folder)) {
-      if (!entry.is_regular_file() || !is_source(entry.path())) continue;
-      ++files;
-      for (const std::string& violation :
-           violations(fs::relative(entry.path(), kTree).generic_string(), content_of(entry.path())))
-        ADD_FAILURE() << violation;
-    }
+  const std::vector<SourceFile> files = product_sources();
+  EXPECT_GT(files.size(), 20U) << "the walk must have seen the tree";
+  for (const SourceFile& file : files)
+    for (const std::string& violation : violations(file.path, file.content)) ADD_FAILURE() << violation;
+}
+
+TEST(Architecture, OnlyItsOwnFileNamesAnEffect) {
+  const std::vector<SourceFile> files = product_sources();
+  std::vector<std::string> effects;
+  for (const SourceFile& file : files) {
+    if (file.path.rfind("src/brake/effects/", 0) != 0) continue;
+    const std::vector<std::string> names = effects_named_in(file.content);
+    EXPECT_LE(names.size(), 1U) << file.path << " is one effect's";
+    effects.insert(effects.end(), names.begin(), names.end());
   }
-  EXPECT_GT(files, 20) << "the walk must have seen the tree";
+  EXPECT_GE(effects.size(), 24U) << "the effects' files must have been read";
+  for (const SourceFile& file : files) {
+    // Bare drives have effects of their own, some of the same name.
+    if (file.path.find("/diagnose/drive_") != std::string::npos || file.path.find("/drive/") != std::string::npos) continue;
+    for (const std::string& violation : effects_named_elsewhere(file.path, file.content, effects)) ADD_FAILURE() << violation;
+  }
+}
+
+TEST(Rules, CatchAnEffectThatIsNamedElsewhere) {
+  EXPECT_THAT(effects_named_in("{.name = \"belt-slip\",\n  .location = Location::Timing, .parameters = {{.name = \"share\",\n.unit = 1}}}"),
+              ElementsAre("belt-slip"));
+  const std::vector<std::string> effects{"belt-slip"};
+  EXPECT_THAT(effects_named_elsewhere("src/diagnose/a.cpp", "int x;\nif (name == \"belt-slip\") f();", effects),
+              ElementsAre(HasSubstr("a.cpp:2: names the effect belt-slip")));
+  EXPECT_THAT(effects_named_elsewhere("src/views/a.cpp", "f(\"because of belt-slip.\");", effects), ElementsAre(HasSubstr("belt-slip")));
+  EXPECT_THAT(effects_named_elsewhere("src/views/a.cpp", "f(\"belt-slippage\");  // belt-slip", effects), IsEmpty());
+  EXPECT_THAT(effects_named_elsewhere("drivers/sim/effects.hpp", "f(\"belt-slip\");", effects), IsEmpty());
 }
 
 TEST(Architecture, ArrowsPointDown) {
@@ -62,9 +97,9 @@ void PrintTo(const Planted& planted, std::ostream* out) {
   *out << planted.label;
 }
 
-class Rules : public ::testing::TestWithParam<Planted> {};
+class PlantedRules : public ::testing::TestWithParam<Planted> {};
 
-TEST_P(Rules, CatchWhatIsPlantedAndNothingElse) {
+TEST_P(PlantedRules, CatchWhatIsPlantedAndNothingElse) {
   const Planted& planted = GetParam();
   const auto found = violations(planted.path, planted.text);
   if (planted.caught.empty())
@@ -74,7 +109,7 @@ TEST_P(Rules, CatchWhatIsPlantedAndNothingElse) {
 }
 
 INSTANTIATE_TEST_SUITE_P(
-    Planted, Rules,
+    Planted, PlantedRules,
     ::testing::Values(
         Planted{"upward", "src/record/a.cpp", "#include \"clampd/parameters/brake_parameters.hpp\"\n",
                 "a.cpp:1: record must not"},

@@ -202,6 +202,30 @@ void check_marks(const std::string& path, const std::string& code, std::vector<s
 
 }  // namespace
 
+std::vector<std::string> effects_named_in(std::string_view content) {
+  // An effect's name stands before its location; its parameters have neither location nor cause.
+  static const std::regex kName(R"re(\.name = "([a-z-]+)",\s*\.location)re");
+  const std::string text(content);
+  std::vector<std::string> names;
+  for (std::sregex_iterator match(text.begin(), text.end(), kName), end; match != end; ++match) names.push_back((*match)[1]);
+  return names;
+}
+
+std::vector<std::string> effects_named_elsewhere(const std::string& path, std::string_view content,
+                                                 const std::vector<std::string>& effects) {
+  std::vector<std::string> found;
+  if (starts_with(path, "src/brake/effects/") || starts_with(path, "drivers/sim/")) return found;
+  const std::string code = code_only(content, true);
+  const auto is_part_of_name = [&](std::size_t at) {
+    return at < code.size() && (std::isalnum(static_cast<unsigned char>(code[at])) || code[at] == '_' || code[at] == '-');
+  };
+  for (const std::string& effect : effects)
+    for (std::size_t at = code.find(effect); at != std::string::npos; at = code.find(effect, at + 1))
+      if (!is_part_of_name(at - 1) && !is_part_of_name(at + effect.size()))
+        found.push_back(fmt::format("{}:{}: names the effect {}: let it say so by a hook", path, line_of(code, at), effect));
+  return found;
+}
+
 const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
   static const std::vector<std::pair<std::string_view, Rooms>> kArrows{
       {"base", {}},

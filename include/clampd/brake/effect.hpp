@@ -1,6 +1,8 @@
 #pragma once
 
+#include <cstddef>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -48,6 +50,14 @@ inline bool is_estimated(const EffectParameter& parameter) {
   return parameter.role == EffectParameter::Role::Strength || parameter.role == EffectParameter::Role::Shape;
 }
 
+/// How a scan over orders looks for a wave over the motor's position: a grid that is finer than what one run over the whole travel
+/// resolves, and a finer one around each of its peaks.
+struct OrderScan {
+  double first, last, step;
+  double neighbourhood;  ///< to either side of a peak
+  double fine_step;
+};
+
 /// What there is to be said of an effect, besides its equations.
 struct EffectInfo {
   std::string_view name;  ///< as in every file and JSON document
@@ -64,8 +74,15 @@ struct EffectInfo {
   bool free_states_count = true;
   /// May be named more than once, as a harmonic: its last parameter a multiple or part of the first one's.
   bool repeatable = false;
-  /// Its one parameter is the zero of a reading, as a tare sets it.
+  /// Its one parameter is the zero of the reading that `location` names: of force and velocity as a tare sets it, of torque as the
+  /// reading shows it while the drive is off.
   bool is_zero = false;
+  /// It says which readings are spikes: whoever fits it leaves these out, since it has no equations. Its parameters are the share of
+  /// readings, the standard deviation of the spikes, and the channel: 1 force, 2 velocity.
+  bool removes_readings = false;
+  /// Where it is a torque that is a wave over the motor's position, and is looked for by a scan. Its parameters are then the
+  /// amplitudes of the sine and of the cosine, and the order.
+  std::optional<OrderScan> order_scan = {};
   /// A wrong scale of the force reading does the same in any run: then stiffness and friction are read by
   /// that scale too.
   bool is_like_a_scale_of_force = false;
@@ -75,7 +92,8 @@ struct EffectInfo {
 class Effect;
 
 /// THE catalogue of effects, in the order in which they act one on another, from the torque that acts to the
-/// readings; a new one is one file in src/brake/effects and one line there.
+/// readings; a new one is one file in src/brake/effects
+/// and one line in catalogue.inc there.
 std::span<const Effect* const> effects();
 
 /// Null if there is none of that name.
@@ -96,6 +114,13 @@ struct EffectValues {
   const Effect* effect = nullptr;
   std::vector<double> values;
 };
+
+/// What an effect with these values does, as a part of a sentence that a technician understands. `sds`: the standard deviations of its
+/// values, NaN or 0 where there is none. `amplitude`: of its free states over all runs, NaN where it has none.
+std::string in_words(const EffectValues& values, std::span<const double> sds, double amplitude);
+
+/// A value with a size that people can read: seconds as milliseconds, shares as per cent, small angles as milliradians.
+std::string size_in_words(double value, std::string_view unit);
 
 /// Whether an effect with these values is there in name only: its strengths, and it has some, are neutral.
 bool is_neutral(const EffectValues& values);

@@ -1,5 +1,7 @@
 #include <algorithm>
 
+#include <fmt/format.h>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -7,6 +9,9 @@ namespace clampd {
 namespace {
 
 using Role = EffectParameter::Role;
+
+/// That is late, numbered as its choices are.
+enum class Channel { Force = 1, Velocity, Torque };
 
 class ChannelSkew final : public EquationsOf<ChannelSkew> {
  public:
@@ -50,16 +55,21 @@ class ChannelSkew final : public EquationsOf<ChannelSkew> {
   }
   EffectDelays delays(std::span<const double> values) const override {
     const int whole = static_cast<int>(values[1]);
+    const Channel channel = effects_detail::chosen<Channel>(values[2]);
     EffectDelays late;
-    (values[2] == 1.0 ? late.force : values[2] == 2.0 ? late.velocity : late.torque) = whole;
+    (channel == Channel::Force ? late.force : channel == Channel::Velocity ? late.velocity : late.torque) = whole;
     return late;
+  }
+  std::string in_words(std::span<const double> values, std::span<const double>, double) const override {
+    return fmt::format("the reading of {} comes {:.2g} samples late", choice_of(info().parameters[2], values[2]),
+                       values[0] + values[1]);
   }
   /// A torque that is held from row to row and read late by a fraction of a row reads as a mixture of its
   /// last two values. The torque that acts is the mixture's inverse to second order: between this reading and
   /// the next, sharpened by what two such mixtures smooth.
   template <class T>
   void torque(effects_detail::TorqueInput<T>& input, const effects_detail::Own<T>& own, T*) const {
-    if (effects_detail::value_of(own.parameters[2]) != 3.0) return;
+    if (effects_detail::chosen<Channel>(own.parameters[2]) != Channel::Torque) return;
     const T& late = own.parameters[0];
     const auto between = [&](const T& reading, const T& next) {
       return T(reading + late * (next - reading));
@@ -72,15 +82,15 @@ class ChannelSkew final : public EquationsOf<ChannelSkew> {
   /// The fraction, between the sample before and this one.
   template <class T>
   void read(effects_detail::Readout<T>& readout, const effects_detail::Own<T>& own) const {
-    const double channel = effects_detail::value_of(own.parameters[2]);
-    if (channel == 1.0) readout.force_N += own.parameters[0] * (own.states[0] - readout.force_N);
-    if (channel == 2.0)
+    const Channel channel = effects_detail::chosen<Channel>(own.parameters[2]);
+    if (channel == Channel::Force) readout.force_N += own.parameters[0] * (own.states[0] - readout.force_N);
+    if (channel == Channel::Velocity)
       readout.velocity_rad_s += own.parameters[0] * (own.states[0] - readout.velocity_rad_s);
   }
   template <class T>
   void filter(const effects_detail::Transit<T>& transit, const effects_detail::Own<T>& own, T* states) const {
     // The chord's end for which read() meets the velocity's two straights or the force's parabola.
-    if (effects_detail::value_of(own.parameters[2]) == 2.0)
+    if (effects_detail::chosen<Channel>(own.parameters[2]) == Channel::Velocity)
       states[0] = transit.reverses() ? beyond_reversal(transit, own.parameters[0])
                                      : transit.velocity_before_rad_s;
     else
@@ -88,7 +98,7 @@ class ChannelSkew final : public EquationsOf<ChannelSkew> {
   }
   template <class T>
   void settle(const effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own, T* states) const {
-    states[0] = effects_detail::value_of(own.parameters[2]) == 2.0 ? instant.velocity : instant.force_N;
+    states[0] = effects_detail::chosen<Channel>(own.parameters[2]) == Channel::Velocity ? instant.velocity : instant.force_N;
   }
 
  private:

@@ -1,3 +1,5 @@
+#include <fmt/format.h>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -35,8 +37,12 @@ class Cogging final : public EquationsOf<Cogging> {
                         .scale = 0.02,
                         .starts = {1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12,
                                    13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24}}},
-        .repeatable = true};
+        .repeatable = true,
+        .order_scan = OrderScan{.first = 0.4, .last = 90.0, .step = 0.12, .neighbourhood = 0.5, .fine_step = 0.025}};
     return kInfo;
+  }
+  std::string in_words(std::span<const double> values, std::span<const double>, double) const override {
+    return fmt::format("{}: {:.2g} N m, {:.3g} times a revolution", info().cause, std::hypot(values[0], values[1]), values[2]);
   }
   template <class T>
   void balance(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <span>
+#include <string>
 #include <type_traits>
 
 #include <ceres/jet.h>
@@ -48,6 +49,9 @@ struct Own {
 /// Indices of effects in the catalogue's order: what a lag or a limit makes of a reading depends on what came
 /// before it, not on what was named first.
 std::vector<std::size_t> chain_of(const std::vector<EffectValues>& effects);
+
+/// The strength that is most certainly there, with its name where the effect has several.
+std::string strength_in_words(const EffectInfo& info, std::span<const double> values, std::span<const double> sds);
 
 /// A parameter of the role Choice or Refinement, as the enumerator that it numbers; they count from one.
 template <class Enumeration, class T>
@@ -194,6 +198,8 @@ class Effect : public effects_detail::Equations<double>, public effects_detail::
     values[parameter] = choice;
     return values;
   }
+  /// See in_words(); unless said otherwise its cause, and how strong it is.
+  virtual std::string in_words(std::span<const double> values, std::span<const double> sds, double amplitude) const;
   virtual EffectDelays delays(std::span<const double> values) const {
     (void)values;
     return {};

@@ -1,3 +1,5 @@
+#include <fmt/format.h>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -25,6 +27,10 @@ class ForceHum final : public EquationsOf<ForceHum> {
                                   .free_states = 2,
                                   .repeatable = true};
     return kInfo;
+  }
+  std::string in_words(std::span<const double> values, std::span<const double>, double amplitude) const override {
+    return fmt::format("the mains hum on the reading of clamp force ({}, {})", size_in_words(amplitude, "N"),
+                       size_in_words(values[0], "Hz"));
   }
   /// Amplitudes in phase and a quarter period ahead, other ones in each run: the mains know nothing of it.
   template <class T>

@@ -1,3 +1,5 @@
+#include <fmt/format.h>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -21,6 +23,9 @@ class ForceLag final : public EquationsOf<ForceLag> {
                                                   .scale = 0.0005}},
                                   .states = 1};
     return kInfo;
+  }
+  std::string in_words(std::span<const double> values, std::span<const double>, double) const override {
+    return fmt::format("the reading of clamp force comes {} late, as through a filter", size_in_words(values[0], "s"));
   }
   template <class T>
   void read(effects_detail::Readout<T>& readout, const effects_detail::Own<T>& own) const {

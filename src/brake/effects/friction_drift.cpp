@@ -1,3 +1,5 @@
+#include <fmt/format.h>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -29,6 +31,9 @@ class FrictionDrift final : public EquationsOf<FrictionDrift> {
                         .logarithmic = true,
                         .starts = {3, 15, 1000}}}};
     return kInfo;
+  }
+  std::string in_words(std::span<const double> values, std::span<const double> sds, double) const override {
+    return fmt::format("{} ({} a run at first)", info().cause, effects_detail::strength_in_words(info(), values, sds));
   }
   template <class T>
   void friction(effects_detail::Instant<T>& instant, const effects_detail::Own<T>& own) const {

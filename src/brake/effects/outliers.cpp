@@ -1,3 +1,5 @@
+#include <fmt/format.h>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -34,8 +36,13 @@ class Outliers final : public EquationsOf<Outliers> {
                         .role = Role::Choice,
                         .lower = 1,
                         .upper = 2,
-                        .choices = {"clamp force", "velocity"}}}};
+                        .choices = {"clamp force", "velocity"}}},
+        .removes_readings = true};
     return kInfo;
+  }
+  std::string in_words(std::span<const double> values, std::span<const double>, double) const override {
+    return fmt::format("single readings of {} are far off: {} of them", choice_of(info().parameters[2], values[2]),
+                       size_in_words(values[0], "1"));
   }
 };
 

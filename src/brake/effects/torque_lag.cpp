@@ -1,5 +1,7 @@
 #include <algorithm>
 
+#include <fmt/format.h>
+
 #include "src/brake/effects/catalogue.hpp"
 
 namespace clampd {
@@ -23,6 +25,9 @@ class TorqueLag final : public EquationsOf<TorqueLag> {
                                                   .scale = 0.0005}},
                                   .states = 1};
     return kInfo;
+  }
+  std::string in_words(std::span<const double> values, std::span<const double>, double) const override {
+    return fmt::format("the acting torque comes {} later than its reading", size_in_words(values[0], "s"));
   }
   /// Its mean acts, while it changes quickly and over the rest of the row: the velocity at the row's end is
   /// then exact, and it passes zero in between when it should.

@@ -18,7 +18,8 @@ class TorqueOffset final : public EquationsOf<TorqueOffset> {
                                                   .description = "of the reading",
                                                   .lower = -1,
                                                   .upper = 1,
-                                                  .scale = 0.01}}};
+                                                  .scale = 0.01}},
+                                  .is_zero = true};
     return kInfo;
   }
   template <class T>

@@ -37,7 +37,7 @@ class SpikeSearch {
   }
 
   /// The spikes as a mixture: a share of the readings has a far larger noise.
-  Hypothesis result() {
+  Hypothesis result(const Effect& effect) {
     const std::vector<FilteredRun> filtered = filter_runs(found_.runs, found_.estimate, found_.threads);
     const double marked = static_cast<double>(spikes_.size());
     const double share = marked / readings();
@@ -49,7 +49,7 @@ class SpikeSearch {
           0.5 * (std::log(2.0 * std::numbers::pi * square) + std::pow(residual(filtered, spike), 2) / square);
     found_.unused_log_likelihood += likelihood;
     found_.estimate =
-        with_effect(found_.estimate, {find_effect(kSpikes), {share, std::sqrt(square), 1.0 + channel_}});
+        with_effect(found_.estimate, {&effect, {share, std::sqrt(square), 1.0 + channel_}});
     // Without equations: the covariance holds.
     return std::move(found_);
   }
@@ -104,16 +104,16 @@ class SpikeSearch {
 
 }  // namespace
 
-Candidate look_for_outliers(const Hypothesis& hypothesis, std::span<const FilteredRun> filtered) {
+Candidate look_for_spikes(const Effect& effect, const Hypothesis& hypothesis, std::span<const FilteredRun> filtered) {
   Candidate best;
-  best.effect = find_effect(kSpikes);
+  best.effect = &effect;
   best.degrees = 2.0;
   best.alternatives = 2.0;
   best.is_fitted = true;
   for (int channel = 0; channel < 2; ++channel) {
     SpikeSearch search(hypothesis, channel);
     if (!search.run(filtered)) continue;
-    Hypothesis found = search.result();
+    Hypothesis found = search.result(effect);
     found.degrees += best.degrees;
     const double gain = found.log_likelihood() - hypothesis.log_likelihood();
     if (gain <= best.gain) continue;
