@@ -216,8 +216,8 @@ Looks CheckSession::looks() {
 bool CheckSession::are_enough(const std::vector<RunRecord>& runs, const Estimate& joint) const {
   CheckFacts facts;
   facts.tracking_rms_N = tracking_rms_N(runs);
-  add_estimate(joint, runs, facts);
-  return StoppingRule::is_enough(judge(facts, limits_, configuration_.validity), joint);
+  const std::optional<SystematicRecord> systematic = add_estimate(joint, runs, facts);
+  return StoppingRule::is_enough(judge(facts, limits_, configuration_.validity), joint, systematic);
 }
 
 void CheckSession::record_stopping(const CheckFacts& facts, const Judgement& judgement, const Estimate& joint,
@@ -229,7 +229,7 @@ void CheckSession::record_stopping(const CheckFacts& facts, const Judgement& jud
     record.repeats = static_cast<std::uint32_t>(record.runs.size());
     reason = fmt::format("every limit decided after {} runs", record.runs.size());
   } else if (record.runs.size() == repeats_.most && !was_ended) {
-    reason = stopping_->why_most(judgement, joint);
+    reason = stopping_->why_most(judgement, joint, record.systematic);
   }
   record.stopping = StoppingRecord{repeats_.most, stopping_->coverage_factor(), std::move(reason)};
 }

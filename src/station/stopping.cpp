@@ -23,6 +23,10 @@ bool do_runs_differ_without_scatter(const Estimate& joint) {
   return joint.runs_agree_p < kRunsDiffer && !joint.runs_differ;
 }
 
+bool is_fit_in_doubt(const std::optional<SystematicRecord>& systematic) {
+  return systematic && systematic->p_value >= kSystematic && systematic->p_value < StoppingRule::kSeenToFit;
+}
+
 }  // namespace
 
 StoppingRule::StoppingRule(double guard_band_k, std::uint32_t most)
@@ -48,14 +52,17 @@ GuardBands StoppingRule::guard_bands(const Estimate& joint) const {
   return bands;
 }
 
-bool StoppingRule::is_enough(const Judgement& judgement, const Estimate& joint) {
+bool StoppingRule::is_enough(const Judgement& judgement, const Estimate& joint,
+                             const std::optional<SystematicRecord>& systematic) {
   const bool in_doubt = std::any_of(
       judgement.parameters.begin(), judgement.parameters.end(),
       [](const ParameterRecord& parameter) { return parameter.verdict == ParameterVerdict::Marginal; });
-  return is_about_the_brake(judgement.verdict) && !in_doubt && !do_runs_differ_without_scatter(joint);
+  return is_about_the_brake(judgement.verdict) && !in_doubt && !do_runs_differ_without_scatter(joint) &&
+         !is_fit_in_doubt(systematic);
 }
 
-std::string StoppingRule::why_most(const Judgement& judgement, const Estimate& joint) const {
+std::string StoppingRule::why_most(const Judgement& judgement, const Estimate& joint,
+                                   const std::optional<SystematicRecord>& systematic) const {
   std::string doubt;
   for (const ParameterRecord& parameter : judgement.parameters)
     if (parameter.verdict == ParameterVerdict::Marginal)
@@ -67,6 +74,8 @@ std::string StoppingRule::why_most(const Judgement& judgement, const Estimate& j
     why = "; the runs differ from each other by more than their noise";
   else if (!is_about_the_brake(judgement.verdict))
     why = "; they say nothing about the brake";
+  else if (is_fit_in_doubt(systematic))
+    why = "; whether the model fits is in doubt";
   return fmt::format("the most that was allowed: {}{}", most_, why);
 }
 

@@ -1,10 +1,12 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "clampd/identify/estimate.hpp"
 #include "clampd/identify/systematic_misfit.hpp"
+#include "clampd/record/check_record.hpp"
 #include "clampd/station/verdict.hpp"
 
 namespace clampd {
@@ -15,6 +17,11 @@ class StoppingRule {
  public:
   /// Repeats before the first look: fewer cannot show whether the model fits.
   static constexpr std::uint32_t kFirstLook = kFewestRepeats;
+
+  /// Runs that noise alone makes look as bad as this, or worse, with a smaller probability do not yet show
+  /// that the model fits; below kSystematic they show that it does not, and that is counted. In between, more
+  /// runs tell.
+  static constexpr double kSeenToFit = 0.05;
 
   /// `guard_band_k`: of the limits, for a check of a fixed number. `most`: repeats at most, at least
   /// kFirstLook.
@@ -28,11 +35,14 @@ class StoppingRule {
   GuardBands guard_bands(const Estimate& joint) const;
 
   /// Whether the check may end with what a look has found: the runs say something about the brake, agree with
-  /// each other, and leave no limit in doubt.
-  static bool is_enough(const Judgement& judgement, const Estimate& joint);
+  /// each other and with the model, and leave no limit in doubt. `systematic`: what they have in common
+  /// beside the model.
+  static bool is_enough(const Judgement& judgement, const Estimate& joint,
+                        const std::optional<SystematicRecord>& systematic);
 
   /// Why the most that was allowed was not enough: "the most that was allowed: 21; TC in doubt".
-  std::string why_most(const Judgement& judgement, const Estimate& joint) const;
+  std::string why_most(const Judgement& judgement, const Estimate& joint,
+                       const std::optional<SystematicRecord>& systematic) const;
 
  private:
   std::uint32_t most_;
