@@ -90,9 +90,12 @@ Eigen::VectorXd Design::rows_of(const BasisFunction& function) const {
       continue;
     }
     const DriveMotion& motion = run.motion;
-    std::vector<double> samples(motion.time_s.size()), columns;
+    std::vector<double> samples(motion.time_s.size()), columns, travel;
+    if (function.factor == Factor::Reversal) travel = motion.travel_over(function.first);
     for (std::size_t i = 0; i < samples.size(); ++i) {
-      samples[i] = value_of(function, motion.state(i, run.run, columns));
+      DriveState state = motion.state(i, run.run, columns);
+      if (!travel.empty()) state.travel = travel[i];
+      samples[i] = value_of(function, state);
       // What turns by more than four fifths of half a period from one reading to the next is an alias of
       // something else.
       if (periodic && function.first * std::abs(motion.velocity[i]) * data_.sample_s > 0.8 * M_PI)
@@ -113,17 +116,23 @@ int Design::column(const BasisFunction& function) {
   return number;
 }
 
-int Design::target(double lag_s) {
-  const auto found = targets_.find(lag_s);
+int Design::target(const Actuation& actuation) {
+  const auto found = targets_.find(actuation);
   if (found != targets_.end()) return found->second;
   Eigen::VectorXd torque(count_);
   Eigen::Index first = 0;
   for (const DriveRows& run : data_.runs) {
-    torque.segment(first, static_cast<Eigen::Index>(run.size())) = run.torque_at(lag_s);
+    torque.segment(first, static_cast<Eigen::Index>(run.size())) = run.torque_at(actuation);
     first += static_cast<Eigen::Index>(run.size());
   }
   const int number = add(torque - known_);
-  targets_[lag_s] = number;
+  targets_[actuation] = number;
+  if (actuation.loss > 0.0 || actuation.settling_s > 0.0) {
+    // Else whatever makes the torque small would explain it.
+    const Eigen::VectorXd reading = raw(target({})), acting = raw(number);
+    const double variation = (acting.array() - acting.mean()).matrix().norm();
+    if (variation > 0.0) scales_[number] = (reading.array() - reading.mean()).matrix().norm() / variation;
+  }
   return number;
 }
 
@@ -178,7 +187,7 @@ Fit Design::fit(std::vector<int> columns, int target) const {
   fit.ok = solution.ok;
   if (!fit.ok) return fit;
   fit.coefficients = solution.coefficients;
-  fit.square = std::max(square - right.dot(fit.coefficients), 1e-12 * square);
+  fit.square = std::max(square - right.dot(fit.coefficients), 1e-12 * square) * std::pow(scale_of(fit), 2);
   return fit;
 }
 
@@ -207,7 +216,8 @@ std::vector<double> Design::left_out(const Fit& fit) const {
     for (int b = fold; known && b < fitted_blocks_; b += kFolds) {
       products_of(fit, b, block_gram, block_right, block_square);
       result[static_cast<std::size_t>(b)] =
-          square_left(others.coefficients, block_gram, block_right, block_square);
+          square_left(others.coefficients, block_gram, block_right, block_square) *
+          std::pow(scale_of(fit), 2);
     }
   }
   return result;
@@ -220,7 +230,7 @@ std::vector<double> Design::squares(const Fit& fit, int from_block, int to_block
   double square = 0.0;
   for (int b = from_block; b < to_block; ++b) {
     products_of(fit, b, gram, right, square);
-    result.push_back(square_left(fit.coefficients, gram, right, square));
+    result.push_back(square_left(fit.coefficients, gram, right, square) * std::pow(scale_of(fit), 2));
   }
   return result;
 }
@@ -279,7 +289,7 @@ double Design::overdispersion(const Fit& fit) const {
   Eigen::VectorXd scores = Eigen::VectorXd::Zero(count);
   for (int b = 0; b < fitted_blocks_; ++b) {
     products_of(fit, b, block_gram, block_right, block_square);
-    scores += (block_right - block_gram * fit.coefficients).cwiseAbs2();
+    scores += std::pow(scale_of(fit), 2) * (block_right - block_gram * fit.coefficients).cwiseAbs2();
   }
   const Eigen::VectorXd ratios = scores.cwiseQuotient(variance * gram.diagonal());
   return std::max(1.0, ratios.mean() * fitted_blocks_ / std::max(1.0, fitted_blocks_ - 1.0));
@@ -314,14 +324,14 @@ Eigen::VectorXd Design::residuals(const Fit& fit) const {
   Eigen::VectorXd result = raw(fit.target);
   for (std::size_t i = 0; i < fit.columns.size(); ++i)
     result -= fit.coefficients[static_cast<Eigen::Index>(i)] * raw(fit.columns[i]);
-  return result;
+  return scale_of(fit) * result;
 }
 
 Eigen::VectorXd Design::whitened_residuals(const Fit& fit) const {
   Eigen::VectorXd result = whitened(fit.target);
   for (std::size_t i = 0; i < fit.columns.size(); ++i)
     result -= fit.coefficients[static_cast<Eigen::Index>(i)] * whitened(fit.columns[i]);
-  return result;
+  return scale_of(fit) * result;
 }
 
 }  // namespace clampd::drive

@@ -32,8 +32,9 @@ class Design {
   int column(const BasisFunction& function);
   /// A column of its own, one value a row; returns its number.
   int add(const Eigen::VectorXd& raw);
-  /// The torque as the reading that is so much older, less the known torques.
-  int target(double lag_s);
+  /// The torque as DriveRows::torque_at(), less the known torques. What a fit to it leaves is scaled so that
+  /// it is a share of the reading's variation.
+  int target(const Actuation& actuation);
   /// Subtracts `known` from the torque; before any target is asked for.
   void set_known(Eigen::VectorXd known) { known_ = std::move(known); }
 
@@ -56,6 +57,10 @@ class Design {
   double log_occam(const std::vector<int>& columns, int target, double variance) const;
 
   Eigen::VectorXd residuals(const Fit& fit) const;  ///< not whitened, all rows
+  double scale_of(const Fit& fit) const {
+    const auto found = scales_.find(fit.target);
+    return found == scales_.end() ? 1.0 : found->second;
+  }
   Eigen::VectorXd whitened_residuals(const Fit& fit) const;
   const Eigen::VectorXd& raw(int column) const { return raw_[static_cast<std::size_t>(column)]; }
   const Eigen::VectorXd& whitened(int column) const { return whitened_[static_cast<std::size_t>(column)]; }
@@ -96,7 +101,8 @@ class Design {
   Eigen::MatrixXd total_;  ///< of the fitted blocks
   Eigen::VectorXd known_;
   std::vector<std::pair<BasisFunction, int>> functions_;
-  std::map<double, int> targets_;
+  std::map<Actuation, int> targets_;
+  std::map<int, double> scales_;  ///< of targets that are no reading
 };
 
 }  // namespace clampd::drive

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <set>
 
 #include <fmt/format.h>
@@ -146,38 +147,48 @@ void withdraw_approximations(Selector& selector, const Design& design, const Dri
     notices.push_back(fmt::format("{} would explain less than what would still depend on {}",
                                   fmt::join(names, ", "), variable));
     selection.best = std::move(smaller);
-    std::erase_if(selection.rivals, [&](const std::vector<std::string>& group) {
-      return std::ranges::find(names, group.front()) != names.end();
-    });
   }
 }
 
-/// Where a function of the columns takes much of the rest, whatever fits the rest a little may only lean on
-/// it: names stay for what takes more than that.
+/// Where much is left that is no noise, what fits it a little may only lean on it. A name stays if it takes
+/// more than is left, or, by itself, a good part of what the base model left; the weakest goes first.
 void withdraw_what_leans_on_the_rest(Selector& selector, const Design& design, const DriveModel& model,
                                      Selection& selection, std::vector<std::string>& notices) {
-  for (std::size_t p = 0; p < selection.best.parts.size();) {
-    const Variant part = selection.best.parts[p];
-    const double left = design.residuals(selection.best.fit).squaredNorm();
+  constexpr double kDominant = 0.5, kLeaning = 0.7;
+  const auto square_left = [&](const TorqueModel& of) {
+    return std::pow(remainder_of(design, of, 0.0).left, 2);
+  };
+  const double base = square_left(selection.base);
+  while (selection.best.parts.size() > selection.base.parts.size()) {
+    const Remainder rest = remainder_of(design, selection.best, 0.0);
+    const double left = rest.left * rest.left;
+    const bool enough = rest.share < model.good_enough || rest.is_noise();
     const double share = explainable_share(design, selection.best, model);
-    if (!(share > kStructured) ||
-        std::ranges::find(selection.base.parts, part) != selection.base.parts.end()) {
-      ++p;
-      continue;
+    double least = !enough               ? kLeaning * (left - rest.noise * rest.noise)
+                   : share > kStructured ? share * left
+                                         : 0.0;
+    if (!(least > 0.0)) return;
+    const bool single = selection.best.parts.size() == selection.base.parts.size() + 1;
+    std::optional<TorqueModel> without_weakest;
+    std::string weakest;
+    for (std::size_t p = 0; p < selection.best.parts.size(); ++p) {
+      const Variant& part = selection.best.parts[p];
+      if (std::ranges::find(selection.base.parts, part) != selection.base.parts.end()) continue;
+      std::vector<Variant> rest_of_parts = selection.best.parts;
+      rest_of_parts.erase(rest_of_parts.begin() + static_cast<std::ptrdiff_t>(p));
+      TorqueModel smaller = selector.fitted(rest_of_parts);
+      if (!smaller.ok()) continue;
+      const double taken = square_left(smaller) - left;
+      if (single && taken > kDominant * base) continue;
+      if (taken < least) {
+        least = taken;
+        weakest = part.name;
+        without_weakest = std::move(smaller);
+      }
     }
-    std::vector<Variant> rest = selection.best.parts;
-    rest.erase(rest.begin() + static_cast<std::ptrdiff_t>(p));
-    TorqueModel smaller = selector.fitted(rest);
-    if (!smaller.ok() || design.residuals(smaller.fit).squaredNorm() - left > share * left) {
-      ++p;
-      continue;
-    }
-    notices.push_back(
-        fmt::format("{} would explain less than what would still depend on the recorded columns", part.name));
-    selection.best = std::move(smaller);
-    std::erase_if(selection.rivals,
-                  [&](const std::vector<std::string>& group) { return group.front() == part.name; });
-    p = 0;
+    if (!without_weakest) return;
+    notices.push_back(fmt::format("{} would explain less than what would still be left", weakest));
+    selection.best = std::move(*without_weakest);
   }
 }
 
@@ -400,7 +411,8 @@ std::vector<std::string> add_model(const Workshop& shop, const Selection& select
   diagnosis.fitted = {model,
                       selector.terms_of(selection.best),
                       after.covariance(),
-                      selector.lag_of(selection.best),
+                      selector.actuation_of(selection.best.parts).lag_s,
+                      selector.actuation_of(selection.best.parts).settling_s,
                       shop.data.cut_off_Hz,
                       shop.data.slow_speed,
                       kNaN};
@@ -518,6 +530,7 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   add_preparation(shop, model, diagnosis);
   withdraw_approximations(selector, design, model, selection, diagnosis.notices);
   withdraw_what_leans_on_the_rest(selector, design, model, selection, diagnosis.notices);
+  selector.find_rivals(selection);
   diagnosis.rivals = selection.rivals;
   const std::vector<std::string> words = add_model(shop, selection, selector, model, runs, diagnosis);
   diagnosis.alarm_evidence = selection.alarm_nats;

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 
 #include "clampd/drive/model.hpp"
@@ -36,7 +37,44 @@ double torque_of(const FittedTerm& term, const DriveState& state, const TermSums
   return torque;
 }
 
+/// The reading of which reading - factor * reading^exponent is `balance`. Where a reading of ten would add
+/// less than one to the torque the law ends, and goes on as a straight line.
+double saturated(double balance, double factor, double exponent) {
+  constexpr double kLeastSlope = 0.1;
+  if (!(factor > 0.0)) return balance;
+  const double last = std::pow((1.0 - kLeastSlope) / (exponent * factor), 1.0 / (exponent - 1.0));
+  const double torque_there = last - factor * std::pow(last, exponent);
+  const double size = std::abs(balance);
+  if (size >= torque_there) return std::copysign(last + (size - torque_there) / kLeastSlope, balance);
+  double reading = size;  // from below, where Newton's steps only rise to the root
+  for (int step = 0; step < 40; ++step) {
+    const double change = (size + factor * std::pow(reading, exponent) - reading) /
+                          (1.0 - exponent * factor * std::pow(reading, exponent - 1.0));
+    reading = std::min(last, reading + change);
+    if (std::abs(change) <= 1e-9 * last) break;
+  }
+  return std::copysign(reading, balance);
+}
+
 }  // namespace
+
+double travel_after_reversal(double travel, double length) {
+  return -length * std::log1p(-std::exp(-travel / length));
+}
+
+std::vector<double> settled(std::span<const double> time_s, std::span<const double> values,
+                            double settling_s) {
+  std::vector<double> result(values.begin(), values.end());
+  if (!(settling_s > 0.0)) return result;
+  for (std::size_t i = 1; i < values.size(); ++i) {
+    const double step_s = time_s[i] - time_s[i - 1];
+    if (!(step_s > 0.0)) continue;
+    const double behind = settling_s * (values[i] - values[i - 1]) / step_s;
+    result[i] =
+        values[i] - behind + (result[i - 1] - values[i - 1] + behind) * std::exp(-step_s / settling_s);
+  }
+  return result;
+}
 
 bool loads_drive(DriveTerm term) {
   switch (term) {
@@ -56,7 +94,38 @@ bool accelerates(DriveTerm term) {
   return term == DriveTerm::Inertia || term == DriveTerm::InertiaPosition;
 }
 
+namespace {
+
+/// Of an inertia that depends on the place: half of its slope times the square of the speed, without which
+/// energy would not be conserved.
+double slope_of_inertia(const BasisFunction& function, const DriveState& state) {
+  if (function.index >= 0 && function.index != state.run) return 0.0;
+  const double place = (state.position - function.first) / function.second;
+  switch (function.factor) {
+    case Factor::Place:
+      return 1.0 / function.second;
+    case Factor::PlaceSquared:
+      return 3.0 * place / function.second;
+    case Factor::PlaceCubed:
+      return 3.0 * place * place / function.second;
+    case Factor::Cosine:
+      return -function.first * std::sin(function.first * state.position);
+    case Factor::Sine:
+      return function.first * std::cos(function.first * state.position);
+    default:
+      return 0.0;
+  }
+}
+
+}  // namespace
+
 double value_of(const BasisFunction& function, const DriveState& state, const TermSums& sums) {
+  if (function.carrier == Carrier::Acceleration) {
+    BasisFunction factor = function;
+    factor.carrier = Carrier::One;
+    return state.acceleration * value_of(factor, state, sums) +
+           0.5 * state.velocity * state.velocity * slope_of_inertia(function, state);
+  }
   const double carrier = carried(function.carrier, state);
   if (carrier == 0.0) return 0.0;
   const auto place = [&] { return (state.position - function.first) / function.second; };
@@ -74,6 +143,8 @@ double value_of(const BasisFunction& function, const DriveState& state, const Te
       return elsewhere ? 0.0 : carrier * place();
     case Factor::PlaceSquared:
       return elsewhere ? 0.0 : carrier * (1.5 * place() * place() - 0.5);
+    case Factor::PlaceCubed:
+      return elsewhere ? 0.0 : carrier * place() * place() * place();
     case Factor::Cosine:
       return elsewhere ? 0.0 : carrier * std::cos(function.first * state.position);
     case Factor::Sine:
@@ -84,6 +155,8 @@ double value_of(const BasisFunction& function, const DriveState& state, const Te
       return carrier * std::exp(-state.time_s / function.first);
     case Factor::Run:
       return carrier * (state.run - function.first);
+    case Factor::InRun:
+      return state.run == static_cast<int>(function.first) ? carrier : 0.0;
     case Factor::Column:
       return carrier * (column_of(function, state) - function.first);
     case Factor::ColumnSize:
@@ -94,8 +167,9 @@ double value_of(const BasisFunction& function, const DriveState& state, const Te
       return carrier * std::abs(sums.load);
     case Factor::Balance:
       return carrier * sums.balance;
-    case Factor::BalanceCubed:
-      return carrier * sums.balance * sums.balance * sums.balance / (function.first * function.first);
+    case Factor::BalancePower:
+      return carrier * std::copysign(function.first, sums.balance) *
+             std::pow(std::abs(sums.balance) / function.first, function.second);
   }
   return 0.0;
 }
@@ -110,10 +184,10 @@ double torque_of(const FittedDrive& drive, const DriveState& state) {
   }
   for (const FittedTerm& term : drive.terms)
     if (term.term != DriveTerm::TorqueSaturation) sums.balance += torque_of(term, state, sums);
-  double torque = sums.balance;
   for (const FittedTerm& term : drive.terms)
-    if (term.term == DriveTerm::TorqueSaturation) torque += torque_of(term, state, sums);
-  return torque;
+    if (term.term == DriveTerm::TorqueSaturation)
+      return saturated(sums.balance, torque_of(term, state, {0.0, 0.0, 1.0}), term.functions.front().second);
+  return sums.balance;
 }
 
 }  // namespace clampd

@@ -17,10 +17,10 @@ namespace {
 
 constexpr std::array<std::string_view, 5> kCarrierNames{"one", "acceleration", "velocity", "direction",
                                                         "sliding"};
-constexpr std::array<std::string_view, 17> kFactorNames{
-    "one",         "power",       "stribeck", "reversal",   "place",        "place-squared",
-    "cosine",      "sine",        "time",     "time-decay", "run",          "column",
-    "column-size", "static-load", "load",     "balance",    "balance-cubed"};
+constexpr std::array<std::string_view, 19> kFactorNames{
+    "one",         "power",       "stribeck", "reversal",   "place",        "place-squared", "place-cubed",
+    "cosine",      "sine",        "time",     "time-decay", "run",          "in-run",        "column",
+    "column-size", "static-load", "load",     "balance",    "balance-power"};
 
 template <std::size_t N>
 std::optional<std::size_t> index_of(const std::array<std::string_view, N>& names, std::string_view name) {
@@ -92,6 +92,7 @@ toml::table data_table(const DriveModel& model) {
 
 toml::table fitted_table(const FittedDrive& drive) {
   toml::table table{{"lag_s", drive.lag_s}, {"slow_speed", drive.slow_speed}};
+  if (drive.settling_s > 0.0) table.insert("settling_s", drive.settling_s);
   if (!std::isnan(drive.cut_off_Hz)) table.insert("cut_off_Hz", drive.cut_off_Hz);
   if (!std::isnan(drive.error_rms)) table.insert("error_rms", drive.error_rms);
   toml::array terms;
@@ -134,6 +135,8 @@ class FittedReader : public drive::StrictReader {
       return drive;
     }
     drive.lag_s = number(*fitted, "lag_s", 0.0);
+    drive.settling_s = number(*fitted, "settling_s", 0.0);
+    if (drive.settling_s < 0.0) refuse(*fitted->get("settling_s"), "settling_s must not be negative");
     drive.slow_speed = number(*fitted, "slow_speed", 0.0);
     drive.cut_off_Hz = number(*fitted, "cut_off_Hz", drive.cut_off_Hz);
     drive.error_rms = number(*fitted, "error_rms", drive.error_rms);
@@ -173,6 +176,8 @@ class FittedReader : public drive::StrictReader {
     function.first = number(*table, "first", 0.0);
     function.second = number(*table, "second", 1.0);
     function.index = static_cast<int>(std::clamp(number(*table, "index", -1.0), -1.0, 1e6));
+    if (function.factor == BasisFunction::Factor::BalancePower && !(function.second > 1.0))
+      refuse(node, "balance-power needs a second of more than 1, the power");
     const bool of_column = function.factor == BasisFunction::Factor::Column ||
                            function.factor == BasisFunction::Factor::ColumnSize;
     if (of_column &&

@@ -139,9 +139,16 @@ std::vector<EstimatedParameter> Estimate::load_position(const Variant& variant, 
   std::vector<EstimatedParameter> parameters{
       single(first, "stiffness", units_.torque + "/" + units_.position, 0, 1.0 / unit)};
   const double slope = model_.fit.coefficients[first];
-  if (variant.functions.size() > 1 && slope != 0.0)
-    parameters.push_back(
-        {"slack-at", units_.position, -model_.fit.coefficients[first + 1] / slope * unit, kNaN});
+  for (std::size_t i = 1; i < variant.functions.size(); ++i) {
+    const Eigen::Index at = first + static_cast<Eigen::Index>(i);
+    if (variant.functions[i].factor == BasisFunction::Factor::PlaceCubed)
+      parameters.push_back(combined("stiffening", units_.torque + "/" + units_.position + "^3",
+                                    {{at, std::pow(1.0 / unit, 3)}}));
+    else if (variant.functions.size() == 2 && slope != 0.0)
+      parameters.push_back({"slack-at", units_.position, -model_.fit.coefficients[at] / slope * unit, kNaN});
+    else
+      parameters.push_back(combined("offset", units_.torque, {{at, 1.0}}));
+  }
   return parameters;
 }
 
@@ -150,10 +157,12 @@ std::vector<EstimatedParameter> Estimate::drift(const Variant& variant, Eigen::I
   for (std::size_t i = 0; i < variant.functions.size(); ++i) {
     const BasisFunction& function = variant.functions[i];
     const bool viscous = function.carrier == BasisFunction::Carrier::Velocity;
-    const char* name = function.factor == BasisFunction::Factor::Run    ? "change-per-run"
-                       : function.factor == BasisFunction::Factor::Time ? "change-within-run"
-                                                                        : "excess-at-start";
-    parameters.push_back(single(first, std::string(viscous ? "viscous-" : "") + name,
+    const std::string name = function.factor == BasisFunction::Factor::InRun
+                                 ? fmt::format("change-in-run-{:.0f}", function.first + 1.0)
+                             : function.factor == BasisFunction::Factor::Run  ? "change-per-run"
+                             : function.factor == BasisFunction::Factor::Time ? "change-within-run"
+                                                                              : "excess-at-start";
+    parameters.push_back(single(first, (viscous ? "viscous-" : "") + name,
                                 viscous ? units_.per_velocity : units_.torque, static_cast<Eigen::Index>(i)));
   }
   return parameters;
@@ -170,6 +179,19 @@ std::vector<EstimatedParameter> Estimate::gravity(const Variant& variant, Eigen:
   parameters.push_back({"multiple", "1", variant.functions.front().first,
                         variant.shape_sd > 0.0 ? variant.shape_sd * variant.functions.front().first : kNaN});
   return parameters;
+}
+
+/// A sine and a cosine of the place, of which `period` is one turn.
+std::vector<EstimatedParameter> Estimate::wave(const Variant& variant, Eigen::Index first,
+                                               const std::string& unit) const {
+  EstimatedParameter length = amplitude("amplitude", first, 2, 1, 1);
+  length.unit = unit;
+  const double factor = variant.functions.front().first;
+  return {length,
+          single(first, "sine", unit),
+          single(first, "cosine", unit, 1),
+          {"period", units_.position, 2.0 * M_PI / factor,
+           variant.shape_sd > 0.0 ? variant.shape_sd * 2.0 * M_PI / factor : kNaN}};
 }
 
 std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& variant) const {
@@ -202,12 +224,14 @@ std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& varia
       return cogging(variant, first);
     case DriveTerm::FrictionPosition:
       if (variant.functions.front().factor == BasisFunction::Factor::Sine)
-        return {one("sine", units_.torque), one("cosine", units_.torque, 1)};
+        return wave(variant, first, units_.torque);
       if (!two) return {one("slope", units_.torque)};
       return {one("slope", units_.torque), one("curvature", units_.torque, 1)};
     case DriveTerm::LoadPosition:
       return load_position(variant, first);
     case DriveTerm::InertiaPosition:
+      if (variant.functions.front().factor == BasisFunction::Factor::Sine)
+        return wave(variant, first, units_.per_acceleration);
       if (!two) return {one("slope", units_.per_acceleration)};
       return {one("slope", units_.per_acceleration), one("curvature", units_.per_acceleration, 1)};
     case DriveTerm::FrictionDrift:
@@ -217,8 +241,11 @@ std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& varia
     case DriveTerm::LoadFriction:
       return {one("friction-per-load", "1")};
     case DriveTerm::TorqueSaturation:
-      return {one("excess-at-rms-torque", units_.torque, 0, variant.functions.front().first)};
+      return {shape_of(variant, "loss", "1"),
+              {"at", units_.torque, variant.functions.front().first, kNaN},
+              {"power", "1", variant.functions.front().second, kNaN}};
     case DriveTerm::TorqueLag:
+      if (variant.settling_s > 0.0) return {shape_of(variant, "time-constant", "s")};
       return {{"lag", "s", variant.lag_s, variant.shape_sd > 0.0 ? variant.shape_sd : kNaN}};
     case DriveTerm::Regressor:
       if (two) return {one("factor", units_.torque + " per unit"), one("torque-at-mean", units_.torque, 1)};

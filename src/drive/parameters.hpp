@@ -52,6 +52,8 @@ class Estimate {
   std::vector<EstimatedParameter> load_position(const Variant& variant, Eigen::Index first) const;
   std::vector<EstimatedParameter> drift(const Variant& variant, Eigen::Index first) const;
   std::vector<EstimatedParameter> gravity(const Variant& variant, Eigen::Index first) const;
+  std::vector<EstimatedParameter> wave(const Variant& variant, Eigen::Index first,
+                                       const std::string& unit) const;
   /// One coefficient of a term, times a factor.
   EstimatedParameter single(Eigen::Index first, std::string name, const std::string& unit,
                             Eigen::Index offset = 0, double factor = 1.0) const;

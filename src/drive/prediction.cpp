@@ -19,7 +19,7 @@ constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 /// What moves. `sign` is that of the last motion, and `reversal` where it began.
 struct Motion {
   double position = 0.0, velocity = 0.0;
-  double sign = 0.0, reversal = kNone;
+  double sign = 0.0, travel = std::numeric_limits<double>::infinity();
 };
 
 /// The recorded motion about each row, by a quadratic through the rows within `half_width_s`, for the starts
@@ -53,8 +53,12 @@ Motion motion_at(const Run& run, std::size_t row, double half_width_s) {
 /// One run under one model.
 class ForwardSimulation {
  public:
-  ForwardSimulation(const Run& run, const FittedDrive& drive, int number) : run_(run), drive_(drive) {
+  ForwardSimulation(const Run& run, const FittedDrive& drive, int number)
+      : run_(run), drive_(drive), torque_(settled(run.time_s, run.torque_Nm, drive.settling_s)) {
     state_.run = number;
+    for (const FittedTerm& term : drive.terms)
+      for (const BasisFunction& function : term.functions)
+        if (function.factor == BasisFunction::Factor::Reversal) length_ = function.first;
     columns_.resize(drive.model.regressors.size());
     for (const DriveRegressor& regressor : drive.model.regressors)
       for (const RunColumn& column : run.others)
@@ -100,9 +104,7 @@ class ForwardSimulation {
     state_.direction = direction;
     // After a reversal friction builds up anew: in the other direction it has not yet begun.
     const bool goes_on = direction == 0.0 || motion.sign == 0.0 || direction == motion.sign;
-    state_.travel = std::isnan(motion.reversal) ? std::numeric_limits<double>::infinity()
-                    : goes_on                   ? std::abs(motion.position - motion.reversal)
-                                                : 0.0;
+    state_.travel = goes_on ? motion.travel : travel_after_reversal(motion.travel, length_);
     return torque_of(drive_, state_);
   }
 
@@ -123,9 +125,10 @@ class ForwardSimulation {
       motion.velocity = free + step_s * backward / inertia;
     else
       motion.velocity = 0.0;
-    if (motion.velocity * motion.sign < 0.0) motion.reversal = motion.position;
+    if (motion.velocity * motion.sign < 0.0) motion.travel = travel_after_reversal(motion.travel, length_);
     if (motion.velocity != 0.0) motion.sign = std::copysign(1.0, motion.velocity);
     motion.position += step_s * motion.velocity;
+    motion.travel += step_s * std::abs(motion.velocity);
   }
 
   /// Inertia over viscous friction at a speed.
@@ -144,15 +147,17 @@ class ForwardSimulation {
     at_s -= drive_.lag_s;
     while (row > 0 && run_.time_s[row] > at_s) --row;
     while (row + 2 < run_.size() && run_.time_s[row + 1] <= at_s) ++row;
-    if (drive_.model.torque_held) return run_.torque_Nm[row];
+    if (drive_.model.torque_held && !(drive_.settling_s > 0.0)) return torque_[row];
     const double share =
         std::clamp((at_s - run_.time_s[row]) / (run_.time_s[row + 1] - run_.time_s[row]), 0.0, 1.0);
-    return run_.torque_Nm[row] + share * (run_.torque_Nm[row + 1] - run_.torque_Nm[row]);
+    return torque_[row] + share * (torque_[row + 1] - torque_[row]);
   }
 
   const Run& run_;
   const FittedDrive& drive_;
   DriveState state_;
+  std::vector<double> torque_;  ///< that acts, a lag aside
+  double length_ = 1.0;         ///< over which friction builds up after a reversal
   std::vector<double> columns_;
   std::vector<const std::vector<double>*> recorded_;
   double fastest_ = 0.0, farthest_ = 0.0, longest_step_s_ = 0.0;

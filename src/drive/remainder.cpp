@@ -269,7 +269,8 @@ double free_function_share(const Design& design, const Eigen::VectorXd& residual
 Remainder remainder_of(const Design& design, const TorqueModel& model, double inertia) {
   Remainder result;
   const Eigen::VectorXd residuals = design.residuals(model.fit);
-  result.variation = std::sqrt(mean_square(design, design.raw(model.fit.target), true));
+  result.variation =
+      design.scale_of(model.fit) * std::sqrt(mean_square(design, design.raw(model.fit.target), true));
   result.left = std::sqrt(left_square(design, model));
   result.share =
       result.variation > 0.0 ? result.left / result.variation : std::numeric_limits<double>::quiet_NaN();

@@ -43,12 +43,13 @@ struct Scan {
 
 /// Of the rows' residuals (each run's mean removed), the share that each order takes, run by run where the
 /// phase is not absolute.
+/// The torque's carrier is 1, or one value a row.
 Scan scanned(const Design& design, const Eigen::VectorXd& residuals, double lowest, double highest,
-             double step) {
+             double step, const Eigen::VectorXd* carrier = nullptr) {
   const DriveData& data = design.data();
   Scan scan{lowest, step, std::vector<double>(static_cast<std::size_t>((highest - lowest) / step) + 1, 0.0)};
   const auto orders = scan.gain.size();
-  double total = 0.0;
+  double total = 0.0, most = 0.0;
   std::vector<std::complex<double>> sums(orders, 0.0);
   std::vector<double> weights(orders, 0.0);
   std::vector<Eigen::Index> firsts;
@@ -64,8 +65,10 @@ Scan scanned(const Design& design, const Eigen::VectorXd& residuals, double lowe
     std::vector<std::complex<double>> mine(orders, 0.0);
     std::vector<double> power(orders, 0.0);
     for (Eigen::Index i = 0; i < run.position.size(); ++i) {
-      const double value = residuals[firsts[r] + i];
-      total += value * value;
+      const double carried = carrier == nullptr ? 1.0 : (*carrier)[firsts[r] + i];
+      total += std::pow(residuals[firsts[r] + i], 2);
+      most += carried * carried;
+      const double value = residuals[firsts[r] + i] * carried;
       const double speed = std::abs(run.velocity[i]);
       std::complex<double> turn = std::polar(1.0, lowest * run.position[i]);
       const std::complex<double> increment = std::polar(1.0, step * run.position[i]);
@@ -77,7 +80,7 @@ Scan scanned(const Design& design, const Eigen::VectorXd& residuals, double lowe
         if (u > 3.0) break;  // the rows' filter leaves nothing of it
         const double passed = std::exp(-0.5 * u * u);
         mine[k] += passed * value * turn;
-        power[k] += passed * passed;
+        power[k] += passed * passed * carried * carried;
       }
     }
     for (std::size_t k = 0; k < orders; ++k) {
@@ -90,17 +93,89 @@ Scan scanned(const Design& design, const Eigen::VectorXd& residuals, double lowe
       }
     }
   }
-  double rows = 0.0;
-  for (const std::size_t r : used) rows += static_cast<double>(data.runs[r].size());
   for (std::size_t k = 0; k < orders; ++k) {
     if (data.position_absolute && weights[k] > 0.0) scan.gain[k] = 2.0 * std::norm(sums[k]) / weights[k];
     // An order that only few rows resolve is one of them, not the drive's.
-    scan.gain[k] = weights[k] < 0.15 * rows || !(total > 0.0) ? 0.0 : scan.gain[k] / total;
+    scan.gain[k] = weights[k] < 0.15 * most || !(total > 0.0) ? 0.0 : scan.gain[k] / total;
   }
   return scan;
 }
 
+double longest_travel(const DriveData& data) {
+  double longest = 0.0;
+  for (const DriveRows& run : data.runs)
+    if (!run.heldout) longest = std::max(longest, run.position.maxCoeff() - run.position.minCoeff());
+  return longest;
+}
+
+/// Where the scan's parabola through a value and its neighbours has its peak.
+double peak_of(const Scan& scan, std::size_t k) {
+  double factor = scan.first + scan.step * static_cast<double>(k);
+  if (k > 0 && k + 1 < scan.gain.size()) {
+    const double a = scan.gain[k - 1], b = scan.gain[k], c = scan.gain[k + 1];
+    if (b >= a && b >= c && a - 2.0 * b + c < 0.0) factor += 0.5 * scan.step * (a - c) / (a - 2.0 * b + c);
+  }
+  return factor;
+}
+
+std::vector<std::size_t> strongest_first(const Scan& scan) {
+  std::vector<std::size_t> order(scan.gain.size());
+  for (std::size_t k = 0; k < order.size(); ++k) order[k] = k;
+  std::ranges::sort(order, [&](std::size_t a, std::size_t b) { return scan.gain[a] > scan.gain[b]; });
+  return order;
+}
+
 }  // namespace
+
+std::vector<Variant> waves_in(const Design& design, const Eigen::VectorXd& residuals, const DriveRange& range,
+                              const DriveModel& model, DriveTerm term) {
+  // Fewer periods are as well a slope and a curvature; more than these are no property of the way.
+  constexpr double kFewest = 0.6, kMost = 30.0;
+  constexpr std::size_t kProposed = 3;
+  const DriveData& data = design.data();
+  const double longest = longest_travel(data);
+  if (!(longest > 0.0) || !(data.cut_off_Hz > 0.0) || (!data.position_absolute && range.runs > 1)) return {};
+  const double period = 2.0 * M_PI / longest;
+  const double highest =
+      std::min(2.0 * M_PI * data.cut_off_Hz / std::max(range.slow, 0.1 * range.fast), kMost * period);
+  const double lowest = kFewest * period;
+  if (!(highest > lowest)) return {};
+  const bool inertia = term == DriveTerm::InertiaPosition;
+  // In one direction friction that goes up and down is a load that does.
+  constexpr double kLeastOfADirection = 0.15;
+  if (!inertia && std::abs(range.forward - 0.5) > 0.5 - kLeastOfADirection) return {};
+  Eigen::VectorXd carrier(design.rows());
+  Eigen::Index first = 0;
+  for (const DriveRows& run : data.runs) {
+    const auto size = static_cast<Eigen::Index>(run.size());
+    carrier.segment(first, size) = inertia ? run.acceleration : run.direction;
+    first += size;
+  }
+  const Scan scan = scanned(design, residuals, lowest, highest, 0.25 * period, &carrier);
+  std::vector<Variant> variants;
+  std::vector<double> tried;
+  const auto propose = [&](double factor) {
+    if (std::ranges::any_of(tried, [&](double other) { return std::abs(factor - other) < 0.4 * period; }))
+      return;
+    tried.push_back(factor);
+    Variant variant{term, std::string(name_of(term)), {}};
+    for (const auto kind : {BasisFunction::Factor::Sine, BasisFunction::Factor::Cosine})
+      variant.functions.push_back(
+          {inertia ? BasisFunction::Carrier::Acceleration : BasisFunction::Carrier::Direction, kind, factor});
+    variant.alternatives = static_cast<double>(scan.gain.size());
+    variants.push_back(std::move(variant));
+  };
+  // Once a turn is what one expects of a rotary drive.
+  if (!model.linear && 1.0 > lowest && 1.0 < highest) propose(1.0);
+  for (const std::size_t k : strongest_first(scan)) {
+    if (variants.size() >= kProposed || !(scan.gain[k] > 0.0)) break;
+    double factor = peak_of(scan, k);
+    if (!model.linear && std::abs(factor - std::round(factor)) < 0.1 * period && factor > 0.5)
+      factor = std::round(factor);
+    propose(factor);
+  }
+  return variants;
+}
 
 std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& residuals,
                                 const DriveRange& range, const DriveModel& model, const Variant* already,
@@ -110,9 +185,7 @@ std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& res
     if (why_not != nullptr) *why_not = std::move(reason);
     return std::vector<Variant>{};
   };
-  double longest = 0.0;
-  for (const DriveRows& run : data.runs)
-    if (!run.heldout) longest = std::max(longest, run.position.maxCoeff() - run.position.minCoeff());
+  const double longest = longest_travel(data);
   if (!(longest > 0.0) || !(data.cut_off_Hz > 0.0))
     return refuse("a run at steady speed counts as one point without a place");
   const double middle_speed = std::max(range.slow, 0.1 * range.fast);
@@ -125,18 +198,11 @@ std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& res
         "the runs are too short, or the motion too fast for the sampling, for three periods of a ripple");
   const double step = std::min(0.35 * 2.0 * M_PI / longest, 0.5 * (highest - lowest));
   const Scan scan = scanned(design, residuals, lowest, highest, step);
-  std::vector<std::size_t> order(scan.gain.size());
-  for (std::size_t k = 0; k < order.size(); ++k) order[k] = k;
-  std::ranges::sort(order, [&](std::size_t a, std::size_t b) { return scan.gain[a] > scan.gain[b]; });
   std::vector<Variant> variants;
   std::vector<double> tried;
-  for (const std::size_t k : order) {
+  for (const std::size_t k : strongest_first(scan)) {
     if (variants.size() >= 4 || !(scan.gain[k] > 0.0)) break;
-    double factor = scan.first + scan.step * static_cast<double>(k);
-    if (k > 0 && k + 1 < scan.gain.size()) {  // the peak of a parabola
-      const double a = scan.gain[k - 1], b = scan.gain[k], c = scan.gain[k + 1];
-      if (b >= a && b >= c && a - 2.0 * b + c < 0.0) factor += 0.5 * scan.step * (a - c) / (a - 2.0 * b + c);
-    }
+    double factor = peak_of(scan, k);
     // Poles and gear teeth are whole numbers: where one is as near as the travel can tell, it is that.
     if (!model.linear && std::abs(factor - std::round(factor)) < 0.3 * 2.0 * M_PI / longest)
       factor = std::round(factor);

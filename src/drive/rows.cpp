@@ -525,6 +525,28 @@ DriveState DriveMotion::state(std::size_t i, int run, std::vector<double>& colum
   return {time_s[i], run, position[i], velocity[i], acceleration[i], direction[i], travel[i], columns_here};
 }
 
+std::vector<double> DriveMotion::travel_over(double length) const {
+  std::vector<double> result;
+  double so_far = length * std::log(2.0), back = 0.0, sign = 0.0;
+  for (std::size_t i = 0; i < position.size(); ++i) {
+    const double step = i == 0 ? 0.0 : position[i] - position[i - 1];
+    if (direction[i] != 0.0 && sign == 0.0) sign = direction[i];
+    if (direction[i] == -sign && sign != 0.0) {
+      sign = direction[i];
+      so_far = travel_after_reversal(so_far, length) + back;
+      back = 0.0;
+    }
+    // Until it is certain that the drive goes back, it may be noise: what it then has gone counts from the
+    // turn.
+    const double forward = step * sign;
+    const double new_ground = std::max(0.0, forward - back);
+    back = std::max(0.0, back - forward);
+    so_far += new_ground;
+    result.push_back(so_far);
+  }
+  return result;
+}
+
 double gaussian_sd_s(double cut_off_Hz) {
   return std::sqrt(std::log(2.0)) / (2.0 * M_PI * cut_off_Hz);
 }
@@ -540,16 +562,28 @@ Eigen::VectorXd DriveRows::filtered(std::span<const double> samples) const {
   return result;
 }
 
-Eigen::VectorXd DriveRows::torque_at(double lag_s) const {
-  if (lag_s == 0.0 || filter_sd_s_ == 0.0) return torque;
+double Actuation::torque(double reading) const {
+  constexpr double kLeastSlope = 0.1;
+  if (!(loss > 0.0)) return reading;
+  const double last = most * std::pow((1.0 - kLeastSlope) / (exponent * loss), 1.0 / (exponent - 1.0));
+  const double size = std::abs(reading), within = std::min(size, last);
+  return std::copysign(
+      within - loss * most * std::pow(within / most, exponent) + kLeastSlope * (size - within), reading);
+}
+
+Eigen::VectorXd DriveRows::torque_at(const Actuation& actuation) const {
+  if (actuation == Actuation{}) return torque;
+  std::vector<double> samples = settled(motion.time_s, motion.torque, actuation.settling_s);
+  for (double& each : samples) each = actuation.torque(each);
+  if (filter_sd_s_ == 0.0) return filtered(samples);
   Eigen::VectorXd result(torque.size());
   for (std::size_t r = 0; r < rows_.size(); ++r) {
     std::size_t first = 0;
     const double latest_s = motion.time_s.back();
-    const std::vector<double> weights =
-        kernel(motion.time_s, std::clamp(rows_[r].at_s - lag_s, 0.0, latest_s), filter_sd_s_, first);
+    const std::vector<double> weights = kernel(
+        motion.time_s, std::clamp(rows_[r].at_s - actuation.lag_s, 0.0, latest_s), filter_sd_s_, first);
     double sum = 0.0;
-    for (std::size_t k = 0; k < weights.size(); ++k) sum += weights[k] * motion.torque[first + k];
+    for (std::size_t k = 0; k < weights.size(); ++k) sum += weights[k] * samples[first + k];
     result[static_cast<Eigen::Index>(r)] = sum;
   }
   return result;

@@ -31,6 +31,19 @@ struct DriveMotion {
   std::vector<std::vector<double>> columns;  ///< the user's own, by DriveModel::regressors
 
   DriveState state(std::size_t i, int run, std::vector<double>& columns_here) const;
+  /// DriveState::travel of each sample where friction builds up over `length`. At the start it is half built
+  /// up: nobody knows which way the drive came.
+  std::vector<double> travel_over(double length) const;
+};
+
+/// How the torque follows from its reading: the reading that is `lag_s` older, followed with the time
+/// constant `settling_s`, less `loss` at the torque `most`, in proportion to a power of it.
+struct Actuation {
+  double lag_s = 0.0, settling_s = 0.0, loss = 0.0, most = 1.0, exponent = 3.0;
+  auto operator<=>(const Actuation&) const = default;
+  /// Of this reading. Where a reading of ten would add less than one the law ends, and goes on as a straight
+  /// line.
+  double torque(double reading) const;
 };
 
 /// The torque balance of one run, low-pass filtered and decimated. What stands on either side of it goes
@@ -46,8 +59,8 @@ class DriveRows {
   std::size_t size() const { return rows_.size(); }
   /// One value a sample in, one a row out.
   Eigen::VectorXd filtered(std::span<const double> samples) const;
-  /// Torque as the reading that is `lag_s` older than the row.
-  Eigen::VectorXd torque_at(double lag_s) const;
+  /// Torque that acts in each row, filtered.
+  Eigen::VectorXd torque_at(const Actuation& actuation) const;
 
   Eigen::VectorXd time_s, torque, position, velocity, acceleration, direction,
       travel;  ///< filtered, one a row

@@ -16,6 +16,15 @@ namespace {
 constexpr double kLeastTaken = 0.01;
 /// And this where what is left is good enough without it.
 constexpr double kLeastTakenBeyond = 0.05;
+/// However certain, an effect whose torque is less than this share of what is good enough has no name: the
+/// form of another effect, or of the friction, is hardly ever known to the last per cent.
+constexpr double kLeastOfGoodEnough = 0.15;
+/// For the same reason it has to take this share of the base model's squared error, unless it makes this much
+/// of what is good enough.
+constexpr double kLeastOfBase = 0.012, kMuchOfGoodEnough = 0.7;
+/// Averages, filters and controllers are late by a few rows. That has a name only if it costs what is good
+/// enough.
+constexpr double kFewRows = 6.0;
 /// Differences of held-out blocks count from two of their standard errors on.
 constexpr double kCertain = 2.0;
 /// The rivals together have 99 % of the posterior.
@@ -96,8 +105,13 @@ Selector::Selector(Design& design, const DriveRange& range, const DriveModel& mo
     else if (each.functions.size() == 1 && each.functions.front().carrier == BasisFunction::Carrier::One)
       base_.push_back(std::move(each));
   }
-  const Eigen::VectorXd torque = design.raw(design.target(options.lag_s));
+  const Eigen::VectorXd torque = design.raw(design.target({options.lag_s}));
   variation_ = (torque.array() - torque.mean()).matrix().norm();
+  const double good_enough = model.good_enough * variation_;
+  least_square_ = std::pow(kLeastOfGoodEnough * good_enough, 2);
+  if (const TorqueModel base = fitted(base_); base.ok())
+    least_square_ = std::max(least_square_, std::min(kLeastOfBase * design.residuals(base.fit).squaredNorm(),
+                                                     std::pow(kMuchOfGoodEnough * good_enough, 2)));
   std::set<std::string> names{"cogging"};
   for (const Variant& each : pool_) names.insert(each.name);
   candidates_ = static_cast<int>(names.size()) + 2;
@@ -115,19 +129,18 @@ TorqueModel Selector::fitted(std::vector<Variant> parts) {
   TorqueModel model;
   const bool power_law = std::ranges::any_of(parts, &Variant::replaces_viscous);
   std::vector<int> columns;
-  double lag_s = options_.lag_s, choices = 0.0;
+  double choices = 0.0;
   for (Variant& part : parts) {
     part.columns.clear();
-    lag_s += part.lag_s;
     choices += std::log(std::max(1.0, part.alternatives));
-    if (power_law && part.term == DriveTerm::Viscous) continue;
+    if ((power_law && part.term == DriveTerm::Viscous) || part.saturation != 0.0) continue;
     if (part.frozen.empty())
       for (const BasisFunction& function : part.functions) part.columns.push_back(design_.column(function));
     else
       part.columns = part.frozen;
     columns.insert(columns.end(), part.columns.begin(), part.columns.end());
   }
-  const int target = design_.target(lag_s);
+  const int target = design_.target(actuation_of(parts));
   std::vector<int> sorted = columns;
   std::ranges::sort(sorted);
   const bool twice = std::ranges::adjacent_find(sorted) != sorted.end();
@@ -142,10 +155,18 @@ TorqueModel Selector::fitted(std::vector<Variant> parts) {
   return model;
 }
 
-double Selector::lag_of(const TorqueModel& model) const {
-  double lag_s = options_.lag_s;
-  for (const Variant& part : model.parts) lag_s += part.lag_s;
-  return lag_s;
+Actuation Selector::actuation_of(const std::vector<Variant>& parts) const {
+  Actuation actuation{options_.lag_s};
+  for (const Variant& part : parts) {
+    actuation.lag_s += part.lag_s;
+    actuation.settling_s += part.settling_s;
+    if (part.saturation > 0.0) {
+      actuation.loss = part.saturation;
+      actuation.most = part.functions.front().first;
+      actuation.exponent = part.functions.front().second;
+    }
+  }
+  return actuation;
 }
 
 double Selector::gain(const TorqueModel& more, const TorqueModel& less) const {
@@ -157,6 +178,10 @@ std::vector<FittedTerm> Selector::terms_of(const TorqueModel& model) const {
   std::vector<FittedTerm> terms;
   Eigen::Index at = 0;
   for (const Variant& part : model.parts) {
+    if (part.saturation > 0.0) {
+      terms.push_back({part.term, part.name, part.functions, {part.saturation}});
+      continue;
+    }
     if (part.columns.empty()) continue;
     FittedTerm term{part.term, part.name, part.functions, {}};
     for (std::size_t i = 0; i < part.columns.size(); ++i)
@@ -197,6 +222,15 @@ TorqueModel Selector::rich() {
     if (!larger.ok() || gain(larger, model) < critical(ripples.front().alternatives)) break;
     model = std::move(larger);
   }
+  // Beside a polynomial, hence under a name of their own.
+  for (const DriveTerm term : {DriveTerm::FrictionPosition, DriveTerm::InertiaPosition}) {
+    std::vector<Variant> waves = waves_in(design_, design_.residuals(model.fit), range_, model_, term);
+    const bool candidate = std::ranges::any_of(pool_, [&](const Variant& each) { return each.term == term; });
+    if (!candidate || waves.empty()) continue;
+    waves.front().name += " wave";
+    TorqueModel larger = with(model, waves.front());
+    if (larger.ok() && gain(larger, model) > critical(waves.front().alternatives)) model = std::move(larger);
+  }
   return model;
 }
 
@@ -220,18 +254,31 @@ std::vector<Variant> Selector::ripple_candidates(const TorqueModel& model) {
                     nullptr);
 }
 
-/// Friction that grows with the load and a torque constant that saturates depend on the rest of the model: by
-/// its last fit.
+std::vector<Variant> Selector::wave_candidates(const TorqueModel& model) {
+  std::vector<Variant> candidates;
+  for (const DriveTerm term : {DriveTerm::FrictionPosition, DriveTerm::InertiaPosition}) {
+    const bool candidate = std::ranges::any_of(pool_, [&](const Variant& each) { return each.term == term; });
+    if (!candidate || model.part(term) != nullptr) continue;
+    for (Variant& each : waves_in(design_, design_.residuals(model.fit), range_, model_, term))
+      candidates.push_back(std::move(each));
+  }
+  return candidates;
+}
+
+/// Friction that grows with the load depends on the rest of the model: by its last fit.
 std::vector<Variant> Selector::load_candidates(const TorqueModel& model) {
   const auto wanted = [&](DriveTerm term) {
     return model_.part(term).use == PartUse::Candidate &&
            (model.part(term) == nullptr || !model.part(term)->frozen.empty());
   };
-  if (!wanted(DriveTerm::LoadFriction) && !wanted(DriveTerm::TorqueSaturation)) return {};
+  if (!wanted(DriveTerm::LoadFriction)) return {};
   FittedDrive drive{model_, {}, {}};
   for (FittedTerm& term : terms_of(model))
     if (term.term != DriveTerm::LoadFriction && term.term != DriveTerm::TorqueSaturation)
       drive.terms.push_back(std::move(term));
+  std::optional<double> buildup;
+  if (const Variant* presliding = model.part(DriveTerm::Presliding))
+    buildup = presliding->functions.front().first;
   FittedDrive loads = drive;
   std::erase_if(loads.terms, [](const FittedTerm& term) { return !loads_drive(term.term); });
   std::vector<Variant> candidates;
@@ -241,8 +288,11 @@ std::vector<Variant> Selector::load_candidates(const TorqueModel& model) {
     Eigen::Index first = 0;
     for (const DriveRows& run : design_.data().runs) {
       std::vector<double> samples(run.motion.time_s.size()), columns;
+      std::vector<double> travel;
+      if (buildup) travel = run.motion.travel_over(*buildup);
       for (std::size_t i = 0; i < samples.size(); ++i) {
-        const DriveState state = run.motion.state(i, run.run, columns);
+        DriveState state = run.motion.state(i, run.run, columns);
+        if (buildup) state.travel = travel[i];
         const double torque = torque_of(of, state);
         samples[i] = value_of(function, state, {torque, torque, torque});
       }
@@ -251,7 +301,7 @@ std::vector<Variant> Selector::load_candidates(const TorqueModel& model) {
     }
     Variant variant{term, std::string(name_of(term)), {function}};
     variant.frozen = {design_.add(rows)};
-    variant.alternatives = term == DriveTerm::LoadFriction ? 2.0 : 1.0;
+    variant.alternatives = 2.0;
     candidates.push_back(std::move(variant));
   };
   // Friction in proportion to the inertia's torque alone would be hard to tell from noise of the
@@ -263,8 +313,6 @@ std::vector<Variant> Selector::load_candidates(const TorqueModel& model) {
     add(DriveTerm::LoadFriction, {BasisFunction::Carrier::Direction, BasisFunction::Factor::StaticLoad},
         static_loads);
   }
-  add(DriveTerm::TorqueSaturation,
-      {BasisFunction::Carrier::One, BasisFunction::Factor::BalanceCubed, range_.torque}, drive);
   return candidates;
 }
 
@@ -276,6 +324,7 @@ std::vector<Variant> Selector::pool_of(const TorqueModel& model) {
       pool.push_back(each);
   }
   for (Variant& each : ripple_candidates(model)) pool.push_back(std::move(each));
+  for (Variant& each : wave_candidates(model)) pool.push_back(std::move(each));
   for (Variant& each : load_candidates(model)) pool.push_back(std::move(each));
   return pool;
 }
@@ -289,7 +338,7 @@ Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& 
   const double by_likelihood = statistics::chi_squared_neg_log_p(2.0 * nats, std::max(1, extra));
   const std::vector<double> left_more = design_.left_out(more.fit), left_less = design_.left_out(less.fit);
   const Paired difference = paired(left_more, left_less);
-  const bool nested = extra > 0 && !added.replaces_viscous && added.lag_s == 0.0;
+  const bool nested = extra > 0 && !added.replaces_viscous && !changes_torque(added);
   double by_blocks = 0.0;
   if (nested) {
     by_blocks = design_.significance_of_last(more.fit, extra);
@@ -304,7 +353,11 @@ Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& 
   const double square = design_.residuals(less.fit).squaredNorm(),
                taken = square - design_.residuals(more.fit).squaredNorm();
   const bool enough = square < std::pow(model_.good_enough * variation_, 2);
-  judgement.material = judgement.material && taken > (enough ? kLeastTakenBeyond : kLeastTaken) * square;
+  judgement.material = judgement.material && taken > (enough ? kLeastTakenBeyond : kLeastTaken) * square &&
+                       taken > least_square_;
+  if (added.term == DriveTerm::TorqueLag &&
+      std::abs(added.lag_s) + added.settling_s < kFewRows * design_.data().sample_s)
+    judgement.material = judgement.material && taken > std::pow(model_.good_enough * variation_, 2);
   const std::vector<double> held_more = design_.held_out(more.fit), held_less = design_.held_out(less.fit);
   if (!held_more.empty()) judgement.material = judgement.material && sum(held_more) < sum(held_less);
   return judgement;
@@ -388,16 +441,33 @@ TorqueModel Selector::refined(TorqueModel model, DriveTerm term) {
   const auto at = std::ranges::find(model.parts, term, &Variant::term);
   if (at == model.parts.end()) return model;
   if (!at->frozen.empty()) {
-    for (int round = 0; round < 3; ++round)
+    constexpr int kRounds = 8;
+    TorqueModel best = model;
+    for (int round = 0; round < kRounds; ++round) {
+      TorqueModel refitted;
       for (const Variant& again : load_candidates(model))
         if (again.term == term && again.functions == model.part(term)->functions)
-          if (TorqueModel refitted = with(model, again); refitted.ok()) model = std::move(refitted);
+          refitted = with(model, again);
+      if (!refitted.ok()) break;
+      const double change = refitted.evidence - model.evidence;
+      model = std::move(refitted);
+      if (model.evidence > best.evidence) best = model;
+      if (std::abs(change) < 0.1) break;
+    }
+    model = std::move(best);
     return model;
   }
   if (free_shape(*at) == nullptr) return model;
   Variant variant = *at;
-  const bool additive = term == DriveTerm::TorqueLag;
-  double step = additive ? 0.01 / design_.data().cut_off_Hz : term == DriveTerm::Gravity ? 0.1 : 0.25;
+  const bool additive = variant.lag_s != 0.0;
+  const bool periodic =
+      variant.functions.size() > 1 && variant.functions.front().factor == BasisFunction::Factor::Sine;
+  // Less than half of what the grid goes on by.
+  double step = additive ? (std::abs(variant.lag_s) * design_.data().cut_off_Hz > 0.31 ? 0.03 : 0.01) /
+                               design_.data().cut_off_Hz
+                : term == DriveTerm::Gravity ? 0.1
+                : periodic ? std::min(0.1, 0.3 / (variant.functions.front().first * range_.half()))
+                           : 0.25;
   const auto moved = [&](double by) {
     const double shape = *free_shape(variant);
     return with(model, with_shape(variant, additive ? shape + by : shape * std::exp(by)));
@@ -470,6 +540,12 @@ bool Selector::swap(TorqueModel& model) {
 bool Selector::difference_is_certain(const TorqueModel& better, const TorqueModel& other) const {
   const double nats = better.evidence - other.evidence;
   if (nats <= kRivalNats) return false;
+  // Where much is left, neither is the whole truth: what both leave has to differ, too.
+  constexpr double kAlike = 1.2;
+  const double left = design_.residuals(better.fit).squaredNorm();
+  if (left > std::pow(model_.good_enough * variation_, 2) &&
+      design_.residuals(other.fit).squaredNorm() < kAlike * left)
+    return false;
   if (nats > kOverwhelmingNats) return true;
   const Paired difference = paired(design_.left_out(better.fit), design_.left_out(other.fit));
   return difference.count > 0 && difference.mean > kCertain * difference.error;
@@ -493,6 +569,23 @@ void Selector::prefer_the_constant(TorqueModel& model) {
   }
 }
 
+/// Whether the best of the variants could as well stand in the place of `part`, without which the model is
+/// `smaller`.
+bool Selector::rivals(const TorqueModel& best, const Variant& part, const TorqueModel& smaller,
+                      const std::vector<Variant>& variants) {
+  const Trial other = trial(smaller, variants);
+  // Between rivals the posterior decides, not whether each of them alone would have raised the alarm.
+  if (!other.material || !other.impossible.empty() || other.significance_nats < critical(1.0) - kRivalNats)
+    return false;
+  TorqueModel alternative = with(smaller, other.variant);
+  if (other.evidence > -kOverwhelmingNats && free_shape(other.variant) != nullptr)
+    alternative = refined(alternative, other.variant.term);
+  // What needs more numbers and does not fit better for them says nothing of its own.
+  const int more = complexity(other.variant) - complexity(part);
+  if (more > 0 && gain(alternative, best) < 3.0 * more) return false;
+  return !difference_is_certain(best, alternative);
+}
+
 void Selector::find_rivals(Selection& selection) {
   const TorqueModel& best = selection.best;
   for (std::size_t p = 0; p < best.parts.size(); ++p) {
@@ -504,18 +597,13 @@ void Selector::find_rivals(Selection& selection) {
       if (variant.name != best.parts[p].name) by_name[variant.name].push_back(std::move(variant));
     std::vector<std::string> group{best.parts[p].name};
     for (const auto& [name, variants] : by_name) {
-      const Trial other = trial(smaller, variants);
-      // Between rivals the posterior decides, not whether each of them alone would have raised the alarm.
-      if (!other.material || !other.impossible.empty() ||
-          other.significance_nats < critical(1.0) - kRivalNats)
-        continue;
-      TorqueModel alternative = with(smaller, other.variant);
-      if (other.evidence > -kOverwhelmingNats && free_shape(other.variant) != nullptr)
-        alternative = refined(alternative, other.variant.term);
-      // What needs more numbers and does not fit better for them says nothing of its own.
-      const int more = complexity(other.variant) - complexity(best.parts[p]);
-      if (more > 0 && gain(alternative, best) < 3.0 * more) continue;
-      if (!difference_is_certain(best, alternative)) group.push_back(name);
+      std::vector<Variant> simple;
+      for (const Variant& variant : variants)
+        if (complexity(variant) <= complexity(best.parts[p])) simple.push_back(variant);
+      if (rivals(best, best.parts[p], smaller, variants) ||
+          (!simple.empty() && simple.size() < variants.size() &&
+           rivals(best, best.parts[p], smaller, simple)))
+        group.push_back(name);
     }
     if (group.size() > 1) selection.rivals.push_back(std::move(group));
   }
@@ -553,7 +641,6 @@ Selection Selector::run(const std::function<void(double)>& progress) {
     }
   }
   prefer_the_constant(selection.best);
-  find_rivals(selection);
   return selection;
 }
 

@@ -58,11 +58,13 @@ class Selector {
  public:
   Selector(Design& design, const DriveRange& range, const DriveModel& model, const SelectionOptions& options);
 
+  /// All but the rivals, which are those of the model that is kept in the end.
   Selection run(const std::function<void(double)>& progress);
+  void find_rivals(Selection& selection);
 
   TorqueModel fitted(std::vector<Variant> parts);
   std::vector<FittedTerm> terms_of(const TorqueModel& model) const;
-  double lag_of(const TorqueModel& model) const;
+  Actuation actuation_of(const std::vector<Variant>& parts) const;
   /// Nats by which the larger model's likelihood exceeds the other's.
   double gain(const TorqueModel& more, const TorqueModel& less) const;
   /// Base, and what may join with most columns that no shape decides; for the noise.
@@ -75,6 +77,7 @@ class Selector {
   };
   std::vector<Variant> pool_of(const TorqueModel& model);
   std::vector<Variant> ripple_candidates(const TorqueModel& model);
+  std::vector<Variant> wave_candidates(const TorqueModel& model);
   std::vector<Variant> load_candidates(const TorqueModel& model);
   Judgement judge(const TorqueModel& more, const TorqueModel& less, const Variant& added) const;
   Trial trial(const TorqueModel& model, const std::vector<Variant>& variants);
@@ -86,7 +89,8 @@ class Selector {
   bool swap(TorqueModel& model);
   bool difference_is_certain(const TorqueModel& better, const TorqueModel& other) const;
   void prefer_the_constant(TorqueModel& model);
-  void find_rivals(Selection& selection);
+  bool rivals(const TorqueModel& best, const Variant& part, const TorqueModel& smaller,
+              const std::vector<Variant>& variants);
   TorqueModel without(const TorqueModel& model, std::size_t part);
   TorqueModel with(const TorqueModel& model, const Variant& variant);
   double critical(double alternatives) const;
@@ -99,8 +103,14 @@ class Selector {
   std::vector<Variant> base_;
   std::vector<Variant> pool_;  ///< all that depends on no other part
   int candidates_ = 1;
-  double variation_ = 0.0;  ///< norm of the torque of all rows about its mean
+  double variation_ = 0.0;     ///< norm of the torque of all rows about its mean
+  double least_square_ = 0.0;  ///< that an effect takes of all rows' squared error
 };
+
+/// Variants of friction or inertia that goes up and down along the travel, with the periods that the
+/// residuals show.
+std::vector<Variant> waves_in(const Design& design, const Eigen::VectorXd& residuals, const DriveRange& range,
+                              const DriveModel& model, DriveTerm term);
 
 /// Variants of cogging: the orders that the residuals show, beside those already there.
 std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& whitened_residuals,

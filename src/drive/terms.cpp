@@ -85,9 +85,25 @@ std::vector<Variant> drifts(Builder builder, const DriveRange& range) {
   builder.add({within});
   builder.add({viscous_within});
   // Nothing warms up within seconds.
-  if (range.duration_s > 30.0)
-    for (const double share : {0.1, 0.3})
-      builder.add({{Carrier::Direction, Factor::TimeDecay, share * range.duration_s}});
+  if (range.duration_s > 10.0)
+    for (const double share : {0.05, 0.1, 0.2, 0.4, 0.8}) {
+      const BasisFunction dry{Carrier::Direction, Factor::TimeDecay, share * range.duration_s};
+      BasisFunction viscous = dry;
+      viscous.carrier = Carrier::Velocity;
+      builder.add({dry});
+      builder.add({dry, viscous});
+    }
+  constexpr int kMostRuns = 12;
+  if (range.runs > 2 && range.runs <= kMostRuns) {  // each as it likes
+    std::vector<BasisFunction> dry, both;
+    for (int run = 1; run < range.runs; ++run) {
+      dry.push_back({Carrier::Direction, Factor::InRun, static_cast<double>(run)});
+      both.push_back(dry.back());
+      both.push_back({Carrier::Velocity, Factor::InRun, static_cast<double>(run)});
+    }
+    builder.add(dry);
+    builder.add(both);
+  }
   if (range.runs > 1) {
     builder.add({per_run});
     builder.add({viscous_per_run});
@@ -135,6 +151,7 @@ DriveRange range_of(const DriveData& data) {
       speeds.push_back(std::abs(run.velocity[i]));
       acceleration += run.acceleration[i] * run.acceleration[i];
       torque += run.torque[i] * run.torque[i];
+      range.most_torque = std::max(range.most_torque, std::abs(run.torque[i]));
       if (run.velocity[i] > 0.0) forward += 1.0;
       if (i > 0 && run.velocity[i] * run.velocity[i - 1] < 0.0) ++range.reversals;
     }
@@ -155,6 +172,7 @@ std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const 
   const BasisFunction slope{Carrier::One, Factor::Place, 0.0, std::max(range.half(), 1e-300)};
   const BasisFunction place{Carrier::Direction, Factor::Place, range.centre(),
                             std::max(range.half(), 1e-300)};
+  const BasisFunction cubic{Carrier::One, Factor::PlaceCubed, 0.0, std::max(range.half(), 1e-300)};
   BasisFunction curvature = place;
   curvature.factor = Factor::PlaceSquared;
   switch (term) {
@@ -193,6 +211,8 @@ std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const 
     case DriveTerm::LoadPosition:
       builder.add({slope});
       builder.add({slope, {Carrier::One}});
+      builder.add({slope, cubic});
+      builder.add({slope, {Carrier::One}, cubic});
       break;
     case DriveTerm::InertiaPosition: {
       BasisFunction mass = place, mass_curvature = curvature;
@@ -215,14 +235,25 @@ std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const 
       return regressors(data, model);
     case DriveTerm::TorqueLag: {
       if (!(data.cut_off_Hz > 0.0)) break;
-      const double step_s = 0.02 / data.cut_off_Hz;
-      for (int k = -15; k <= 15; ++k)
-        if (k != 0) builder.add({}).lag_s = k * step_s;
+      const double unit_s = 1.0 / data.cut_off_Hz;
+      const double longest_s = 0.1 * range.duration_s;
+      std::vector<double> lags;
+      for (int k = 1; k <= 15; ++k) lags.push_back(0.02 * k * unit_s);
+      for (int k = 1; k <= 18; ++k) lags.push_back((0.3 + 0.07 * k) * unit_s);
+      for (const double lag_s : lags)
+        if (lag_s < longest_s)
+          for (const double side : {1.0, -1.0}) builder.add({}).lag_s = side * lag_s;
+      for (const double settling_s : geometric(0.02 * unit_s, 2.0 * unit_s, 14))
+        if (settling_s < longest_s) builder.add({}).settling_s = settling_s;
       break;
     }
-    case DriveTerm::Cogging:
     case DriveTerm::TorqueSaturation:
-      break;  // of the residuals, of the model beside it
+      for (const double exponent : {2.0, 3.0, 5.0})
+        for (const double loss : {0.03, 0.06, 0.1, 0.15, 0.2, 0.3})
+          builder.add({{Carrier::One, Factor::BalancePower, range.most_torque, exponent}}).saturation = loss;
+      break;
+    case DriveTerm::Cogging:
+      break;  // of the residuals
   }
   return builder.done();
 }
@@ -288,12 +319,17 @@ std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& r
 }
 
 int complexity(const Variant& variant) {
+  if (changes_torque(variant)) return 1;
   return static_cast<int>(variant.functions.size()) - (variant.replaces_viscous ? 1 : 0) +
          (free_shape(variant) != nullptr ? 1 : 0);
 }
 
 const double* free_shape(const Variant& variant) {
-  if (variant.functions.empty()) return variant.term == DriveTerm::TorqueLag ? &variant.lag_s : nullptr;
+  if (variant.functions.empty()) {
+    if (variant.term != DriveTerm::TorqueLag) return nullptr;
+    return variant.settling_s > 0.0 ? &variant.settling_s : &variant.lag_s;
+  }
+  if (variant.saturation > 0.0) return &variant.saturation;
   const BasisFunction& function = variant.functions.front();
   switch (variant.term) {
     case DriveTerm::FrictionShape:
@@ -302,7 +338,11 @@ const double* free_shape(const Variant& variant) {
     case DriveTerm::FrictionPower:
       return &function.second;
     case DriveTerm::Gravity:
-      return function.first == 1.0 ? nullptr : &function.first;
+    case DriveTerm::FrictionPosition:
+    case DriveTerm::InertiaPosition:
+      return function.factor != Factor::Sine || function.first == 1.0 ? nullptr : &function.first;
+    case DriveTerm::FrictionDrift:
+      return function.factor == Factor::TimeDecay ? &function.first : nullptr;
     default:
       return nullptr;
   }
@@ -311,7 +351,12 @@ const double* free_shape(const Variant& variant) {
 Variant with_shape(const Variant& variant, double shape) {
   Variant result = variant;
   result.columns.clear();
-  if (variant.term == DriveTerm::TorqueLag) result.lag_s = shape;
+  if (variant.saturation > 0.0) {
+    result.saturation = shape;
+    return result;
+  }
+  if (variant.term == DriveTerm::TorqueLag)
+    (variant.settling_s > 0.0 ? result.settling_s : result.lag_s) = shape;
   for (BasisFunction& function : result.functions)
     (variant.term == DriveTerm::FrictionPower ? function.second : function.first) = shape;
   return result;
@@ -381,8 +426,6 @@ std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, cons
   }
   if (const auto load = first(DriveTerm::LoadFriction); load && *load < 0.0)
     return "friction would be less under load";
-  if (const auto cubed = first(DriveTerm::TorqueSaturation); cubed && *cubed < 0.0)
-    return "the drive's torque would grow more than its reading";
   if (const FittedTerm* mass = term_of(terms, DriveTerm::InertiaPosition))
     for (const double place : {-1.0, 0.0, 1.0}) {
       DriveState state;

@@ -20,6 +20,7 @@ struct DriveRange {
   int reversals = 0;
   double forward = 0.0;  ///< share of the rows
   double torque = 0.0;   ///< root mean square
+  double most_torque = 0.0;
 
   double centre() const { return 0.5 * (lowest + highest); }
   double half() const { return 0.5 * (highest - lowest); }
@@ -35,20 +36,28 @@ struct Variant {
   double alternatives = 1.0;      ///< shapes that were tried for it
   bool replaces_viscous = false;  ///< a power law in the viscous friction's place
   double lag_s = 0.0;             ///< of torque-lag
+  double settling_s = 0.0;        ///< the same as a time constant
   double shape_sd = 0.0;          ///< of the shape's continuous number, relative; 0: it has none
   std::vector<int> columns = {};  ///< of the Design
   /// Columns that depend on the rest of the model, as it was last fitted; empty: the functions' own.
   std::vector<int> frozen = {};
+  /// Of torque-saturation: its coefficient. Its function is no column but is taken from the reading.
+  double saturation = 0.0;
 
   bool operator==(const Variant& other) const {
     return name == other.name && functions == other.functions && replaces_viscous == other.replaces_viscous &&
-           lag_s == other.lag_s;
+           lag_s == other.lag_s && settling_s == other.settling_s && saturation == other.saturation;
   }
 };
 
 /// All variants of a term that do not depend on the model beside it.
 std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const DriveData& data,
                                  const DriveModel& model);
+
+/// Changes the torque that the columns explain instead of adding one.
+inline bool changes_torque(const Variant& variant) {
+  return variant.lag_s != 0.0 || variant.settling_s != 0.0 || variant.saturation != 0.0;
+}
 
 /// Why these runs cannot show the term, and what motion would; nothing if they can.
 struct Unidentifiable {

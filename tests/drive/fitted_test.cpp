@@ -59,15 +59,21 @@ FittedDrive every_function(unsigned seed) {
       {DriveTerm::FrictionShape, {{Carrier::Direction, Factor::Stribeck}}},
       {DriveTerm::Presliding, {{Carrier::Direction, Factor::Reversal}}},
       {DriveTerm::Cogging, {{Carrier::One, Factor::Cosine}, {Carrier::One, Factor::Sine}}},
-      {DriveTerm::LoadPosition, {{Carrier::One, Factor::Place}, {Carrier::One, Factor::PlaceSquared}}},
+      {DriveTerm::LoadPosition,
+       {{Carrier::One, Factor::Place},
+        {Carrier::One, Factor::PlaceSquared},
+        {Carrier::One, Factor::PlaceCubed}}},
+      {DriveTerm::InertiaPosition,
+       {{Carrier::Acceleration, Factor::Place}, {Carrier::Acceleration, Factor::Sine}}},
       {DriveTerm::FrictionDrift,
        {{Carrier::Direction, Factor::Time},
         {Carrier::Direction, Factor::TimeDecay},
-        {Carrier::Velocity, Factor::Run}}},
+        {Carrier::Velocity, Factor::Run},
+        {Carrier::Direction, Factor::InRun}}},
       {DriveTerm::Regressor, {{Carrier::One, Factor::Column}, {Carrier::One, Factor::ColumnSize}}},
       {DriveTerm::LoadFriction,
        {{Carrier::Direction, Factor::Load}, {Carrier::Direction, Factor::StaticLoad}}},
-      {DriveTerm::TorqueSaturation, {{Carrier::One, Factor::Balance}, {Carrier::One, Factor::BalanceCubed}}},
+      {DriveTerm::TorqueSaturation, {{Carrier::One, Factor::Balance}, {Carrier::One, Factor::BalancePower}}},
   };
   FittedDrive drive;
   drive.model = model_with_columns();
@@ -77,7 +83,8 @@ FittedDrive every_function(unsigned seed) {
     if (term == DriveTerm::Regressor) fitted.name += ":temperature";
     for (const auto& [carrier, factor] : functions) {
       const bool column = factor == Factor::Column || factor == Factor::ColumnSize;
-      fitted.functions.push_back({carrier, factor, uniform(random), uniform(random),
+      const double power = factor == Factor::BalancePower ? 2.0 : 0.0;  // it needs more than 1
+      fitted.functions.push_back({carrier, factor, uniform(random), power + uniform(random),
                                   column                   ? 1
                                   : factor == Factor::Sine ? 2
                                                            : -1});
@@ -91,6 +98,7 @@ FittedDrive every_function(unsigned seed) {
     for (Eigen::Index j = 0; j <= i; ++j)
       drive.covariance(i, j) = drive.covariance(j, i) = 1e-9 * uniform(random);
   drive.lag_s = -1.0 / 3000.0;
+  drive.settling_s = 1.0 / 700.0;
   drive.cut_off_Hz = 100.0 / 3.0;
   drive.slow_speed = 1e-5 / 7.0;
   drive.error_rms = 0.02 / 9.0;
@@ -122,6 +130,7 @@ TEST(FittedDriveFile, KeepsWhatASimulationNeedsBesides) {
   const Result<FittedDrive> read = parse_fitted_drive(format_fitted_drive(drive), "saved.toml");
   ASSERT_TRUE(read) << read.error().message;
   EXPECT_EQ(read->lag_s, drive.lag_s);
+  EXPECT_EQ(read->settling_s, drive.settling_s);
   EXPECT_EQ(read->cut_off_Hz, drive.cut_off_Hz);
   EXPECT_EQ(read->slow_speed, drive.slow_speed);
   EXPECT_EQ(read->error_rms, drive.error_rms);

@@ -103,15 +103,16 @@ struct DriveState {
   /// +1 or -1 while it slides, 0 at standstill. In between: how much of the friction acts, for a simulation
   /// that sticks.
   double direction = 0.0;
-  double travel = std::numeric_limits<double>::infinity();  ///< since the last reversal
-  std::span<const double> columns = {};                     ///< in the order of DriveModel::regressors
+  double travel =
+      std::numeric_limits<double>::infinity();  ///< since the last reversal; travel_after_reversal()
+  std::span<const double> columns = {};         ///< in the order of DriveModel::regressors
 };
 
 /// One function of the state, whose multiple is a torque: carrier(state) times factor(state; first, second).
 struct BasisFunction {
   enum class Carrier {
     One,
-    Acceleration,
+    Acceleration,  ///< with a factor of the place: and half of its slope times v^2
     Velocity,
     Direction,
     Sliding
@@ -123,17 +124,19 @@ struct BasisFunction {
     Reversal,      ///< -exp(-travel / first): what friction still lacks after a reversal
     Place,         ///< (position - first) / second
     PlaceSquared,  ///< Legendre's second polynomial of that
+    PlaceCubed,    ///< its third power
     Cosine,        ///< cos(first * position)
     Sine,          ///< sin(first * position)
     Time,          ///< (time_s - first) / second
     TimeDecay,     ///< exp(-time_s / first)
     Run,           ///< run - first
+    InRun,         ///< 1 in run number first, 0 in all others
     Column,        ///< columns[index] - first
     ColumnSize,    ///< abs(columns[index])
     StaticLoad,    ///< as Load, without inertia
     Load,          ///< abs(sum of the terms that load the drive: inertia, gravity, offset, springs, columns)
     Balance,       ///< sum of all other terms
-    BalanceCubed,  ///< its third power over first squared
+    BalancePower,  ///< first (abs(T) / first)^second, with the sign of T, the torque with this term in it
   };
   Carrier carrier = Carrier::One;
   Factor factor = Factor::One;
@@ -147,6 +150,10 @@ struct TermSums {
   double load = 0.0, static_load = 0.0, balance = 0.0;
 };
 double value_of(const BasisFunction& function, const DriveState& state, const TermSums& sums = {});
+
+/// Where friction builds up over `length`, the travel with which it begins after a reversal: 0 where it had
+/// been complete, more where it had not.
+double travel_after_reversal(double travel, double length);
 
 /// Whether a term loads the drive, rather than rubs: friction that grows with load grows with it.
 bool loads_drive(DriveTerm term);
@@ -166,11 +173,16 @@ struct FittedDrive {
   Eigen::MatrixXd covariance;  ///< of all coefficients, one term after the other; empty if unknown
   /// The torque that acts at t is the reading at t - lag_s.
   double lag_s = 0.0;
+  double settling_s = 0.0;  ///< time constant with which it follows that reading (first order); 0: at once
   double cut_off_Hz = std::numeric_limits<double>::quiet_NaN();  ///< of the rows it was fitted to
   double slow_speed = 0.0;  ///< below this, a reading of speed was counted as standstill
   double error_rms =
       std::numeric_limits<double>::quiet_NaN();  ///< of the torque, on rows that were not fitted
 };
+
+/// What follows `values`, straight lines between their times, with a time constant.
+std::vector<double> settled(std::span<const double> time_s, std::span<const double> values,
+                            double settling_s);
 
 /// The torque that the drive needs in this state, by the fitted terms. Linear in the acceleration, but for
 /// load friction and saturation, with which it still grows with it.
