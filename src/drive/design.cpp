@@ -127,13 +127,27 @@ int Design::target(const Actuation& actuation) {
   }
   const int number = add(torque - known_);
   targets_[actuation] = number;
-  if (actuation.loss > 0.0 || actuation.settling_s > 0.0) {
-    // Else whatever makes the torque small would explain it.
-    const Eigen::VectorXd reading = raw(target({})), acting = raw(number);
-    const double variation = (acting.array() - acting.mean()).matrix().norm();
-    if (variation > 0.0) scales_[number] = (reading.array() - reading.mean()).matrix().norm() / variation;
-  }
+  if (actuation.loss > 0.0 || actuation.settling_s > 0.0) scales_[number] = scale_of_readings(actuation);
   return number;
+}
+
+/// What changes the readings changes their noise, too: else whatever makes the torque small would explain it. A law
+/// of the reading: the density of the readings has the product of its slopes as a factor (change of variables). A
+/// time constant: what it takes off the variation.
+double Design::scale_of_readings(const Actuation& actuation) {
+  double log_slope = 0.0;
+  Actuation linear = actuation;
+  linear.loss = 0.0;
+  for (const DriveRows& run : data_.runs)
+    for (const double reading : run.torque_at(linear)) log_slope += std::log(actuation.slope(reading));
+  const double scale = std::exp(-log_slope / static_cast<double>(count_));
+  if (!(actuation.settling_s > 0.0)) return scale;
+  const auto variation = [&](const Actuation& of) {
+    const Eigen::VectorXd& torque = raw(target(of));
+    return (torque.array() - torque.mean()).matrix().norm();
+  };
+  const double settled = variation(linear);
+  return settled > 0.0 ? scale * variation({}) / settled : scale;
 }
 
 int Design::add(const Eigen::VectorXd& raw) {

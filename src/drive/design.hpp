@@ -100,6 +100,8 @@ class Design {
       products_;           ///< of each block, lower triangle by rows added one after the other
   Eigen::MatrixXd total_;  ///< of the fitted blocks
   Eigen::VectorXd known_;
+  double scale_of_readings(const Actuation& actuation);
+
   std::vector<std::pair<BasisFunction, int>> functions_;
   std::map<Actuation, int> targets_;
   std::map<int, double> scales_;  ///< of targets that are no reading

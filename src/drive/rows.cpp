@@ -562,8 +562,18 @@ Eigen::VectorXd DriveRows::filtered(std::span<const double> samples) const {
   return result;
 }
 
+namespace {
+
+constexpr double kLeastSlope = 0.1;
+
+}  // namespace
+
+double Actuation::slope(double reading) const {
+  if (!(loss > 0.0)) return 1.0;
+  return std::max(kLeastSlope, 1.0 - loss * exponent * std::pow(std::abs(reading) / most, exponent - 1.0));
+}
+
 double Actuation::torque(double reading) const {
-  constexpr double kLeastSlope = 0.1;
   if (!(loss > 0.0)) return reading;
   const double last = most * std::pow((1.0 - kLeastSlope) / (exponent * loss), 1.0 / (exponent - 1.0));
   const double size = std::abs(reading), within = std::min(size, last);

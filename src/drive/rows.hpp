@@ -44,6 +44,7 @@ struct Actuation {
   /// Of this reading. Where a reading of ten would add less than one the law ends, and goes on as a straight
   /// line.
   double torque(double reading) const;
+  double slope(double reading) const;  ///< of that law, at this reading
 };
 
 /// The torque balance of one run, low-pass filtered and decimated. What stands on either side of it goes

@@ -541,7 +541,7 @@ bool Selector::difference_is_certain(const TorqueModel& better, const TorqueMode
   const double nats = better.evidence - other.evidence;
   if (nats <= kRivalNats) return false;
   // Where much is left, neither is the whole truth: what both leave has to differ, too.
-  constexpr double kAlike = 1.2;
+  constexpr double kAlike = 1.5;
   const double left = design_.residuals(better.fit).squaredNorm();
   if (left > std::pow(model_.good_enough * variation_, 2) &&
       design_.residuals(other.fit).squaredNorm() < kAlike * left)

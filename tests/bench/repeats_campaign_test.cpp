@@ -26,7 +26,7 @@ int unlikely_count(int trials, double probability) {
 /// Brakes whose limits are so near that even 20 repeats hardly tell: where it is easiest to be wrong.
 TEST(RepeatsCampaign, ErrsNoMoreOftenThanPromisedWhereItIsHardest) {
   RepeatsCampaignOptions options;
-  options.brakes = 120;
+  options.brakes = 30;
   options.seed = 7;
   options.near_share = 1.0;
   options.near_sd = 0.5;
@@ -42,7 +42,7 @@ TEST(RepeatsCampaign, ErrsNoMoreOftenThanPromisedWhereItIsHardest) {
 
 TEST(RepeatsCampaign, BrakesOnALineAreCheckedInTime) {
   RepeatsCampaignOptions options;
-  options.brakes = 200;
+  options.brakes = 60;
   options.seed = 3;
   const RepeatsCampaign campaign = run_repeats_campaign(options);
   print(std::cout, campaign);
@@ -52,7 +52,7 @@ TEST(RepeatsCampaign, BrakesOnALineAreCheckedInTime) {
     in_time += brake.automatic.duration_s <= 8.0;
   }
   EXPECT_GT(fast, options.brakes / 2) << "median, bench time";
-  // 95 % of all brakes: fewer of these 200 than so many happen less than once in a thousand times.
+  // 95 % of all brakes: fewer of these than so many happen less than once in a thousand times.
   EXPECT_LT(options.brakes - in_time, unlikely_count(options.brakes, 0.05));
   for (const Nearness nearness : {Nearness::Far, Nearness::Beyond}) {
     const Errors errors = errors_of(campaign, &BrakeResult::automatic, nearness);
