@@ -127,19 +127,21 @@ int Design::target(const Actuation& actuation) {
   }
   const int number = add(torque - known_);
   targets_[actuation] = number;
-  if (actuation.loss > 0.0 || actuation.settling_s > 0.0) scales_[number] = scale_of_readings(actuation);
+  if (actuation.saturation.loss > 0.0 || actuation.settling_s > 0.0)
+    scales_[number] = scale_of_readings(actuation);
   return number;
 }
 
-/// What changes the readings changes their noise, too: else whatever makes the torque small would explain it. A law
-/// of the reading: the density of the readings has the product of its slopes as a factor (change of variables). A
-/// time constant: what it takes off the variation.
+/// What changes the readings changes their noise, too: else whatever makes the torque small would explain it.
+/// A law of the reading: the density of the readings has the product of its slopes as a factor (change of
+/// variables). A time constant: what it takes off the variation.
 double Design::scale_of_readings(const Actuation& actuation) {
   double log_slope = 0.0;
   Actuation linear = actuation;
-  linear.loss = 0.0;
+  linear.saturation = {};
   for (const DriveRows& run : data_.runs)
-    for (const double reading : run.torque_at(linear)) log_slope += std::log(actuation.slope(reading));
+    for (const double reading : run.torque_at(linear))
+      log_slope += std::log(actuation.saturation.slope(reading));
   const double scale = std::exp(-log_slope / static_cast<double>(count_));
   if (!(actuation.settling_s > 0.0)) return scale;
   const auto variation = [&](const Actuation& of) {

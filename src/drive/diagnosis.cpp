@@ -174,9 +174,7 @@ void withdraw_what_leans_on_the_rest(Selector& selector, const Design& design, c
     for (std::size_t p = 0; p < selection.best.parts.size(); ++p) {
       const Variant& part = selection.best.parts[p];
       if (std::ranges::find(selection.base.parts, part) != selection.base.parts.end()) continue;
-      std::vector<Variant> rest_of_parts = selection.best.parts;
-      rest_of_parts.erase(rest_of_parts.begin() + static_cast<std::ptrdiff_t>(p));
-      TorqueModel smaller = selector.fitted(rest_of_parts);
+      TorqueModel smaller = selector.without(selection.best, p);
       if (!smaller.ok()) continue;
       const double taken = square_left(smaller) - left;
       if (single && taken > kDominant * base) continue;

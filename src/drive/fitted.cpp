@@ -1,7 +1,7 @@
-#include <algorithm>
 #include <cmath>
 
 #include "clampd/drive/model.hpp"
+#include "src/drive/saturation.hpp"
 
 namespace clampd {
 namespace {
@@ -35,25 +35,6 @@ double torque_of(const FittedTerm& term, const DriveState& state, const TermSums
   for (std::size_t i = 0; i < term.functions.size(); ++i)
     torque += term.coefficients[i] * value_of(term.functions[i], state, sums);
   return torque;
-}
-
-/// The reading of which reading - factor * reading^exponent is `balance`. Where a reading of ten would add
-/// less than one to the torque the law ends, and goes on as a straight line.
-double saturated(double balance, double factor, double exponent) {
-  constexpr double kLeastSlope = 0.1;
-  if (!(factor > 0.0)) return balance;
-  const double last = std::pow((1.0 - kLeastSlope) / (exponent * factor), 1.0 / (exponent - 1.0));
-  const double torque_there = last - factor * std::pow(last, exponent);
-  const double size = std::abs(balance);
-  if (size >= torque_there) return std::copysign(last + (size - torque_there) / kLeastSlope, balance);
-  double reading = size;  // from below, where Newton's steps only rise to the root
-  for (int step = 0; step < 40; ++step) {
-    const double change = (size + factor * std::pow(reading, exponent) - reading) /
-                          (1.0 - exponent * factor * std::pow(reading, exponent - 1.0));
-    reading = std::min(last, reading + change);
-    if (std::abs(change) <= 1e-9 * last) break;
-  }
-  return std::copysign(reading, balance);
 }
 
 }  // namespace
@@ -186,7 +167,8 @@ double torque_of(const FittedDrive& drive, const DriveState& state) {
     if (term.term != DriveTerm::TorqueSaturation) sums.balance += torque_of(term, state, sums);
   for (const FittedTerm& term : drive.terms)
     if (term.term == DriveTerm::TorqueSaturation)
-      return saturated(sums.balance, torque_of(term, state, {0.0, 0.0, 1.0}), term.functions.front().second);
+      return drive::SaturationLaw{torque_of(term, state, {0.0, 0.0, 1.0}), 1.0, term.functions.front().second}
+          .reading(sums.balance);
   return sums.balance;
 }
 

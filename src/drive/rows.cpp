@@ -562,29 +562,10 @@ Eigen::VectorXd DriveRows::filtered(std::span<const double> samples) const {
   return result;
 }
 
-namespace {
-
-constexpr double kLeastSlope = 0.1;
-
-}  // namespace
-
-double Actuation::slope(double reading) const {
-  if (!(loss > 0.0)) return 1.0;
-  return std::max(kLeastSlope, 1.0 - loss * exponent * std::pow(std::abs(reading) / most, exponent - 1.0));
-}
-
-double Actuation::torque(double reading) const {
-  if (!(loss > 0.0)) return reading;
-  const double last = most * std::pow((1.0 - kLeastSlope) / (exponent * loss), 1.0 / (exponent - 1.0));
-  const double size = std::abs(reading), within = std::min(size, last);
-  return std::copysign(
-      within - loss * most * std::pow(within / most, exponent) + kLeastSlope * (size - within), reading);
-}
-
 Eigen::VectorXd DriveRows::torque_at(const Actuation& actuation) const {
   if (actuation == Actuation{}) return torque;
   std::vector<double> samples = settled(motion.time_s, motion.torque, actuation.settling_s);
-  for (double& each : samples) each = actuation.torque(each);
+  for (double& each : samples) each = actuation.saturation.torque(each);
   if (filter_sd_s_ == 0.0) return filtered(samples);
   Eigen::VectorXd result(torque.size());
   for (std::size_t r = 0; r < rows_.size(); ++r) {

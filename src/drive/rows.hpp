@@ -10,6 +10,7 @@
 #include "clampd/diagnose/diagnosis.hpp"
 #include "clampd/drive/model.hpp"
 #include "clampd/record/run.hpp"
+#include "src/drive/saturation.hpp"
 
 namespace clampd::drive {
 
@@ -37,14 +38,11 @@ struct DriveMotion {
 };
 
 /// How the torque follows from its reading: the reading that is `lag_s` older, followed with the time
-/// constant `settling_s`, less `loss` at the torque `most`, in proportion to a power of it.
+/// constant `settling_s`, less what saturation takes.
 struct Actuation {
-  double lag_s = 0.0, settling_s = 0.0, loss = 0.0, most = 1.0, exponent = 3.0;
+  double lag_s = 0.0, settling_s = 0.0;
+  SaturationLaw saturation = {};
   auto operator<=>(const Actuation&) const = default;
-  /// Of this reading. Where a reading of ten would add less than one the law ends, and goes on as a straight
-  /// line.
-  double torque(double reading) const;
-  double slope(double reading) const;  ///< of that law, at this reading
 };
 
 /// The torque balance of one run, low-pass filtered and decimated. What stands on either side of it goes

@@ -160,11 +160,8 @@ Actuation Selector::actuation_of(const std::vector<Variant>& parts) const {
   for (const Variant& part : parts) {
     actuation.lag_s += part.lag_s;
     actuation.settling_s += part.settling_s;
-    if (part.saturation > 0.0) {
-      actuation.loss = part.saturation;
-      actuation.most = part.functions.front().first;
-      actuation.exponent = part.functions.front().second;
-    }
+    if (part.saturation > 0.0)
+      actuation.saturation = {part.saturation, part.functions.front().first, part.functions.front().second};
   }
   return actuation;
 }

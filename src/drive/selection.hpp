@@ -63,6 +63,7 @@ class Selector {
   void find_rivals(Selection& selection);
 
   TorqueModel fitted(std::vector<Variant> parts);
+  TorqueModel without(const TorqueModel& model, std::size_t part);
   std::vector<FittedTerm> terms_of(const TorqueModel& model) const;
   Actuation actuation_of(const std::vector<Variant>& parts) const;
   /// Nats by which the larger model's likelihood exceeds the other's.
@@ -91,7 +92,6 @@ class Selector {
   void prefer_the_constant(TorqueModel& model);
   bool rivals(const TorqueModel& best, const Variant& part, const TorqueModel& smaller,
               const std::vector<Variant>& variants);
-  TorqueModel without(const TorqueModel& model, std::size_t part);
   TorqueModel with(const TorqueModel& model, const Variant& variant);
   double critical(double alternatives) const;
   bool is_base(const Variant& variant) const;
