@@ -1,12 +1,12 @@
 #include "clampd/line/constants.hpp"
 
 #include <cmath>
-#include <numbers>
 
 #include <boost/math/quadrature/gauss.hpp>
 #include <boost/math/special_functions/gamma.hpp>
 
 #include "clampd/base/assert.hpp"
+#include "clampd/statistics/distributions.hpp"
 
 namespace clampd::quality {
 namespace {
@@ -15,7 +15,7 @@ using Gauss = boost::math::quadrature::gauss<double, 60>;
 constexpr double kFar = 8.5;  ///< standard deviations, beyond which nothing is left
 
 double phi(double x) {
-  return 0.5 * std::erfc(-x / std::numbers::sqrt2);
+  return statistics::normal_upper_tail(-x);
 }
 
 }  // namespace

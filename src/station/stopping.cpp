@@ -13,11 +13,6 @@
 namespace clampd {
 namespace {
 
-/// Chance that a standard normal variable exceeds `z`.
-double upper_tail(double z) {
-  return 0.5 * std::erfc(z / std::sqrt(2.0));
-}
-
 bool do_runs_differ_without_scatter(const Estimate& joint) {
   // With enough runs their scatter is the uncertainty, and they need not agree.
   return joint.runs_agree_p < kRunsDiffer && !joint.runs_differ;
@@ -31,8 +26,9 @@ bool is_fit_in_doubt(const std::optional<SystematicRecord>& systematic) {
 
 StoppingRule::StoppingRule(double guard_band_k, std::uint32_t most)
     : most_(most),
-      coverage_factor_(statistics::repeated_look_factor(
-          upper_tail(guard_band_k), static_cast<int>(kFirstLook), static_cast<int>(most))) {
+      coverage_factor_(statistics::repeated_look_factor(statistics::normal_upper_tail(guard_band_k),
+                                                        static_cast<int>(kFirstLook),
+                                                        static_cast<int>(most))) {
   CLAMPD_ASSERT(most >= kFirstLook);
 }
 

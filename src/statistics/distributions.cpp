@@ -1,6 +1,7 @@
 #include "clampd/statistics/distributions.hpp"
 
 #include <cmath>
+#include <numbers>
 
 #include <boost/math/distributions/fisher_f.hpp>
 #include <boost/math/distributions/normal.hpp>
@@ -42,6 +43,10 @@ double student_t_upper_quantile(double probability, double degrees) {
 
 double normal_quantile(double probability) {
   return boost::math::quantile(boost::math::normal(), probability);
+}
+
+double normal_upper_tail(double z) {
+  return 0.5 * std::erfc(z / std::numbers::sqrt2);
 }
 
 }  // namespace clampd::statistics

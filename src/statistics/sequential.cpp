@@ -13,10 +13,6 @@
 namespace clampd::statistics {
 namespace {
 
-double upper_tail(double z) {
-  return 0.5 * std::erfc(z / std::numbers::sqrt2);
-}
-
 double density(double z) {
   return std::exp(-0.5 * z * z) / std::sqrt(2.0 * std::numbers::pi);
 }
@@ -61,13 +57,13 @@ double crossing_probability(double factor, int first, int most) {
   const auto paths_below = [&](int n) {
     return Paths(std::min(-kFar * std::sqrt(n), bound(n) - 2.0), bound(n));
   };
-  double crossed = upper_tail(factor);
+  double crossed = normal_upper_tail(factor);
   Paths paths = paths_below(first);
   const double sd = std::sqrt(first);
   for (std::size_t i = 0; i < paths.x.size(); ++i) paths.f[i] = density(paths.x[i] / sd) / sd;
   for (int n = first + 1; n <= most; ++n) {
     for (std::size_t i = 0; i < paths.x.size(); ++i)
-      crossed += paths.weight[i] * paths.f[i] * upper_tail(bound(n) - paths.x[i]);
+      crossed += paths.weight[i] * paths.f[i] * normal_upper_tail(bound(n) - paths.x[i]);
     if (n == most) break;
     Paths next = paths_below(n);
     propagate(paths, next);
@@ -93,7 +89,7 @@ double repeated_look_factor(double probability, int first, int most) {
 
 double with_estimated_deviation(double factor, double degrees) {
   if (std::isinf(degrees)) return factor;
-  return student_t_upper_quantile(upper_tail(factor), degrees);
+  return student_t_upper_quantile(normal_upper_tail(factor), degrees);
 }
 
 }  // namespace clampd::statistics
