@@ -9,6 +9,7 @@
 
 #include "clampd/base/clock.hpp"
 #include "clampd/record/utc.hpp"
+#include "drivers/can/log.hpp"
 #include "drivers/can/protocol.hpp"
 
 namespace clampd {
@@ -23,10 +24,7 @@ void append(std::string& log, std::int64_t stamp_ns, std::string_view interface,
   const std::int64_t stamp_us = (stamp_ns + 500) / 1000;
   fmt::format_to(std::back_inserter(log), "({:010}.{:06}) {} ", stamp_us / 1'000'000, stamp_us % 1'000'000,
                  interface);
-  if ((frame.id & can::kExtendedId) != 0)
-    fmt::format_to(std::back_inserter(log), "{:08X}#", frame.id & ~can::kExtendedId);
-  else
-    fmt::format_to(std::back_inserter(log), "{:03X}#", frame.id);
+  log += can::id_text(frame.id) + '#';
   if (frame.format != can::FrameFormat::Classic)
     fmt::format_to(std::back_inserter(log), "#{}", frame.format == can::FrameFormat::FdFastData ? 1 : 0);
   for (std::size_t i = 0; i < frame.size; ++i)

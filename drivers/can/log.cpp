@@ -132,6 +132,10 @@ Line read_line(std::string_view line, LoggedFrame& logged) {
 
 }  // namespace
 
+std::string id_text(std::uint32_t id) {
+  return (id & kExtendedId) != 0 ? fmt::format("{:08X}", id & ~kExtendedId) : fmt::format("{:03X}", id);
+}
+
 Result<FrameLog> parse_log(std::string_view text, const std::string& name) {
   FrameLog log;
   const std::string first(text.substr(0, std::min<std::size_t>(text.find_first_of("\r\n"), 60)));

@@ -12,6 +12,9 @@
 
 namespace clampd::can {
 
+/// An identifier as can-utils write it: three digits for 11 bits, eight for 29.
+std::string id_text(std::uint32_t id);
+
 /// One data frame of a log.
 struct LoggedFrame {
   std::optional<std::int64_t> time_ns;  ///< as the log has it; nothing where it has no time stamps

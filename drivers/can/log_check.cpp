@@ -41,8 +41,7 @@ void count_counter(Watched& watched, const Frame& frame) {
   if (!protection.has_counter()) return;
   const std::uint32_t counter = protection.counter_of(frame);
   if (watched.last_counter) {
-    const std::uint64_t values = protection.counter_values();
-    const std::uint64_t ahead = (counter + values - *watched.last_counter) % values;
+    const std::uint64_t ahead = protection.steps(*watched.last_counter, counter);
     watched.finding.counter_repeats += ahead == 0 ? 1 : 0;
     watched.finding.counter_jumps += ahead > 1 ? 1 : 0;
   }

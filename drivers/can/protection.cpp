@@ -179,8 +179,18 @@ class FrameProtection::Builder {
         built_.first_byte_ - layout_.checksum_at + layout_.header_bytes > message_.size_bytes)
       return failure(fmt::format("{}: the {} bytes of the header of \"{}\" do not fit around its checksum {}",
                                  where_, layout_.header_bytes, name(), checksum_));
-    built_.header_ = built_.first_byte_ - layout_.checksum_at;
+    header_ = built_.first_byte_ - layout_.checksum_at;
+    if (description_.checksum == Checksum::E2e4)
+      place_header(big_endian(header_, 16), big_endian(header_ + 4, 32));
+    if (description_.checksum == Checksum::E2e7)
+      place_header(big_endian(header_ + 8, 32), big_endian(header_ + 16, 32));
     return {};
+  }
+
+  void place_header(const Field& length, const Field& data_id) {
+    built_.has_header_ = true;
+    built_.length_ = length;
+    built_.data_id_field_ = data_id;
   }
 
   Result<void> place_counter() {
@@ -199,13 +209,13 @@ class FrameProtection::Builder {
     built_.counter_ = Field{*signal, 1.0};
     built_.counter_values_ = 1ULL << signal->bits;
     if (layout_.counter_byte) {
-      const Field due = big_endian(built_.header_ + *layout_.counter_byte, signal->bits);
+      const Field due = big_endian(header_ + *layout_.counter_byte, signal->bits);
       Frame probe;
       due.set_raw(probe, due.largest_raw() - 1);
       if (built_.counter_.raw(probe) != due.largest_raw() - 1)
         return failure(
             fmt::format("{}: \"{}\" has its counter at byte {}, most significant byte first; {} is elsewhere",
-                        where_, name(), built_.header_ + *layout_.counter_byte, counter_));
+                        where_, name(), header_ + *layout_.counter_byte, counter_));
     }
     if (description_.checksum == Checksum::E2e1a || description_.checksum == Checksum::E2e1b ||
         description_.checksum == Checksum::E2e1c)
@@ -283,6 +293,7 @@ class FrameProtection::Builder {
   const std::string& where_;
   const Layout layout_;
   FrameProtection built_;
+  std::size_t header_ = 0;  ///< its first byte
 };
 
 Result<FrameProtection> FrameProtection::build(const Message& message, const std::string& counter,
@@ -337,40 +348,19 @@ std::uint64_t FrameProtection::compute(const Frame& frame) const noexcept {
   return 0;
 }
 
-namespace {
-
-struct Header {
-  Field length, data_id;
-};
-
-/// Profiles 4 and 7: length and data id beside the counter.
-Header header_of(Checksum checksum, std::size_t first_byte) {
-  if (checksum == Checksum::E2e4) return {big_endian(first_byte, 16), big_endian(first_byte + 4, 32)};
-  return {big_endian(first_byte + 8, 32), big_endian(first_byte + 16, 32)};
-}
-
-bool has_header(Checksum checksum) {
-  return checksum == Checksum::E2e4 || checksum == Checksum::E2e7;
-}
-
-}  // namespace
-
 void FrameProtection::protect(Frame& frame, std::uint32_t alive_counter) const noexcept {
   if (has_counter()) counter_.set_raw(frame, alive_counter);
   if (checksum_ == Checksum::E2e1c) nibble_.set_raw(frame, data_id_ >> 8U);
-  if (has_header(checksum_)) {
-    const Header header = header_of(checksum_, header_);
-    header.length.set_raw(frame, frame.size);
-    header.data_id.set_raw(frame, data_id_);
+  if (has_header_) {
+    length_.set_raw(frame, frame.size);
+    data_id_field_.set_raw(frame, data_id_);
   }
   if (has_checksum()) value_.set_raw(frame, compute(frame));
 }
 
 bool FrameProtection::header_matches(const Frame& frame) const noexcept {
   if (checksum_ == Checksum::E2e1c) return nibble_.raw(frame) == ((data_id_ >> 8U) & 0xFU);
-  if (!has_header(checksum_)) return true;
-  const Header header = header_of(checksum_, header_);
-  return header.length.raw(frame) == frame.size && header.data_id.raw(frame) == data_id_;
+  return !has_header_ || (length_.raw(frame) == frame.size && data_id_field_.raw(frame) == data_id_);
 }
 
 bool FrameProtection::matches(const Frame& frame) const noexcept {

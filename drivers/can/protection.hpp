@@ -57,6 +57,12 @@ struct ProtectionDescription {
   CrcDescription crc;  ///< of Checksum::Crc
 };
 
+/// Steps forward from one value of a counter of `values` to another; 0 where there is none.
+CLAMPD_REALTIME constexpr std::uint64_t counter_steps(std::uint32_t from, std::uint32_t to,
+                                                      std::uint64_t values) noexcept {
+  return values == 0 ? 0 : (to + values - from) % values;
+}
+
 /// The protection of one frame of the DBC file.
 class FrameProtection {
  public:
@@ -81,6 +87,10 @@ class FrameProtection {
   CLAMPD_REALTIME std::uint32_t counter_of(const Frame& frame) const noexcept;
   /// How many values the counter has before it begins anew; 0 without one.
   std::uint64_t counter_values() const noexcept { return counter_values_; }
+  /// Steps of the counter from one of its values to another, forward; 0 without one.
+  CLAMPD_REALTIME std::uint64_t steps(std::uint32_t from, std::uint32_t to) const noexcept {
+    return counter_steps(from, to, counter_values_);
+  }
   bool has_checksum() const noexcept { return checksum_ != Checksum::None; }
 
  private:
@@ -97,7 +107,8 @@ class FrameProtection {
   std::uint32_t data_id_ = 0;
   std::array<std::uint8_t, 16> data_ids_{};  ///< of profile 2
   Field nibble_;                             ///< of profile 1c
-  std::size_t header_ = 0;                   ///< first byte of the header of profiles 4 and 7
+  bool has_header_ = false;                  ///< of profiles 4 and 7, which hold the next two
+  Field length_, data_id_field_;
 };
 
 }  // namespace clampd::can

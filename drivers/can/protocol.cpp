@@ -13,11 +13,6 @@ namespace {
 /// Samples that a jump counts for where counter and clock contradict each other, at most.
 constexpr std::uint64_t kLargestJump = 16;
 
-/// From one value of a counter of `values` to the next; 0 without a counter.
-std::uint64_t steps(std::uint32_t from, std::uint32_t to, std::uint64_t values) noexcept {
-  return values == 0 ? 0 : (to + values - from) % values;
-}
-
 std::uint32_t next_count(std::uint32_t counter, std::uint64_t values) noexcept {
   return values == 0 ? 0 : static_cast<std::uint32_t>((counter + 1ULL) % values);
 }
@@ -30,7 +25,7 @@ AliveCheck::AliveCheck(std::uint64_t values)
 }
 
 AliveVerdict AliveCheck::judge(std::uint32_t counter, std::int64_t arrival_ns) noexcept {
-  const std::uint64_t ahead = steps(last_, counter, values_);
+  const std::uint64_t ahead = counter_steps(last_, counter, values_);
   const bool silent = arrival_ns - last_arrival_ns_ > silence_ns_;
   const bool first = !started_ || silent;
   // Also a refused frame moves the reference: a brake that restarted is followed again from its second frame
@@ -121,7 +116,7 @@ std::optional<BrakeFeedback> StationProtocol::complete(std::int64_t arrival_ns) 
         static_cast<std::int64_t>((clock - previous_clock) & clock_field.field.largest_raw());
     const std::int64_t elapsed_ns = elapsed_ticks * codec_.clock_tick_ns;
     const std::int64_t samples = (elapsed_ns + kPeriod_ns / 2) / kPeriod_ns;
-    const std::uint64_t counted = steps(previous_counter, parts_counter_, counter_values_);
+    const std::uint64_t counted = counter_steps(previous_counter, parts_counter_, counter_values_);
     // Clock and counter must tell the same story: the clock resolves whole turns of the counter, the counter
     // catches a clock that stands still or jumps.
     const bool consistent =

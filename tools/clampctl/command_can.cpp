@@ -26,14 +26,9 @@ struct CanCheckOptions {
   bool json = false;
 };
 
-std::string id_text(std::uint32_t id) {
-  return (id & can::kExtendedId) != 0 ? fmt::format("{:08X}", id & ~can::kExtendedId)
-                                      : fmt::format("{:03X}", id);
-}
-
 Json to_json(const can::FrameFinding& frame) {
   Json json{{"message", frame.message},
-            {"id", id_text(frame.id)},
+            {"id", can::id_text(frame.id)},
             {"from", frame.from_brake ? "brake" : "station"},
             {"seen", frame.seen},
             {"good", frame.good()},
@@ -62,7 +57,7 @@ Json to_json(const can::FrameFinding& frame) {
 Json to_json(const std::map<std::uint32_t, can::OtherFrame>& others) {
   Json list = Json::array();
   for (const auto& [id, other] : others) {
-    Json entry{{"id", id_text(id)}, {"seen", other.seen}};
+    Json entry{{"id", can::id_text(id)}, {"seen", other.seen}};
     if (!other.message.empty()) entry["message"] = other.message;
     list.push_back(std::move(entry));
   }
@@ -94,7 +89,7 @@ void print_log(const can::FrameLog& log, double duration_s, const std::string& n
 }
 
 void print_frame(const can::FrameFinding& frame) {
-  fmt::print("{:<8} {:<24} {:<12} {:>8} seen", id_text(frame.id), frame.message,
+  fmt::print("{:<8} {:<24} {:<12} {:>8} seen", can::id_text(frame.id), frame.message,
              frame.from_brake ? "from brake" : "to brake", frame.seen);
   if (frame.seen > 0) fmt::print(", {} good", frame.good());
   if (frame.spacing)
@@ -117,7 +112,7 @@ void print_others(const std::map<std::uint32_t, can::OtherFrame>& others) {
       fmt::print("         and {} more\n", others.size() - kMost);
       break;
     }
-    fmt::print("{:<8} {:<24} {:>21} seen\n", id_text(id),
+    fmt::print("{:<8} {:<24} {:>21} seen\n", can::id_text(id),
                other.message.empty() ? "not in the DBC file" : other.message, other.seen);
   }
 }
