@@ -33,6 +33,28 @@ class Store : public ::testing::Test {
     EXPECT_TRUE(store) << store.error().message;
     return std::move(*store);
   }
+  /// A database with one check as an older version left it: sealed in its format, without later columns.
+  void make_older(int format, const char* alterations) {
+    const std::string id = make_check_record().id;
+    {
+      CheckStore store = open();
+      ASSERT_TRUE(store.save(make_check_record()));
+    }
+    SQLite::Database old(path, SQLite::OPEN_READWRITE);
+    ChainLink link{.position = 1,
+                   .check_id = id,
+                   .amendment = {},
+                   .format = format,
+                   .content_sha256 = {},
+                   .chain_sha256 = {}};
+    link.content_sha256 = ContentDigest(old).of_check(id, format).value();
+    SQLite::Statement seal(old, "UPDATE chain SET format = ?, content_sha256 = ?, chain_sha256 = ?");
+    seal.bind(1, format);
+    seal.bind(2, link.content_sha256);
+    seal.bind(3, link_sha256(link, ""));
+    seal.exec();
+    old.exec(alterations);
+  }
   TemporaryDirectory directory;
   std::string path = directory.path("deep/folder/checks.sqlite");
 };
@@ -224,27 +246,9 @@ TEST_F(Store, SealsWhatAnOlderVersionSaved) {
 
 TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
   const std::string id = make_check_record().id;
-  {
-    CheckStore store = open();
-    ASSERT_TRUE(store.save(make_check_record()));
-  }
-  {
-    SQLite::Database old(path, SQLite::OPEN_READWRITE);
-    ChainLink link{.position = 1,
-                   .check_id = id,
-                   .amendment = {},
-                   .format = 1,
-                   .content_sha256 = {},
-                   .chain_sha256 = {}};
-    link.content_sha256 = ContentDigest(old).of_check(id, 1).value();
-    SQLite::Statement seal(old, "UPDATE chain SET format = 1, content_sha256 = ?, chain_sha256 = ?");
-    seal.bind(1, link.content_sha256);
-    seal.bind(2, link_sha256(link, ""));
-    seal.exec();
-    old.exec(
-        "ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE checks DROP COLUMN stopping; PRAGMA "
-        "user_version = 8");
-  }
+  make_older(1,
+             "ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE checks DROP COLUMN stopping; PRAGMA "
+             "user_version = 8");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.systematic = SystematicRecord{1e-9, 0.6, 3.5, true};
@@ -264,25 +268,7 @@ TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
 
 TEST_F(Store, KeepsWhatSchema10SealedVerifiable) {
   const std::string id = make_check_record().id;
-  {
-    CheckStore store = open();
-    ASSERT_TRUE(store.save(make_check_record()));
-  }
-  {
-    SQLite::Database old(path, SQLite::OPEN_READWRITE);
-    ChainLink link{.position = 1,
-                   .check_id = id,
-                   .amendment = {},
-                   .format = 2,
-                   .content_sha256 = {},
-                   .chain_sha256 = {}};
-    link.content_sha256 = ContentDigest(old).of_check(id, 2).value();
-    SQLite::Statement seal(old, "UPDATE chain SET format = 2, content_sha256 = ?, chain_sha256 = ?");
-    seal.bind(1, link.content_sha256);
-    seal.bind(2, link_sha256(link, ""));
-    seal.exec();
-    old.exec("ALTER TABLE checks DROP COLUMN stopping; PRAGMA user_version = 10");
-  }
+  make_older(2, "ALTER TABLE checks DROP COLUMN stopping; PRAGMA user_version = 10");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.stopping = StoppingRecord{21, 2.608, "every limit decided after 4 runs"};

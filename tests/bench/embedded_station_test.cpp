@@ -202,26 +202,12 @@ TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
 
 // One frame of CAN FD with AUTOSAR's profile 7 in place of the two classic ones.
 TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
-  const support::TemporaryDirectory folder;
-  folder.write(
-      "fd.dbc",
-      "VERSION \"\"\nBU_: X\n"
-      "BO_ 256 Command: 24 X\n SG_ Crc : 7|64@0+ (1,0) [0|0] \"\" X\n SG_ Count : 103|32@0+ (1,0) [0|0] \"\" "
-      "X\n"
-      " SG_ Torque : 160|16@1- (0.0001,0) [-3.2|3.2] \"Nm\" X\n SG_ On : 176|1@1+ (1,0) [0|1] \"\" X\n"
-      "BO_ 384 Feedback: 48 X\n SG_ Crc : 7|64@0+ (1,0) [0|0] \"\" X\n SG_ Count : 103|32@0+ (1,0) [0|0] "
-      "\"\" X\n"
-      " SG_ Force : 160|16@1+ (1,-4000) [-4000|45000] \"N\" X\n SG_ Velocity : 176|32@1- (0.001,0) "
-      "[-600|600] \"rad/s\" X\n"
-      " SG_ Torque : 208|16@1- (0.0001,0) [-3.2|3.2] \"Nm\" X\n SG_ Position : 224|32@1- (0.0001,0) "
-      "[-500|500] \"rad\" X\n"
-      " SG_ Clock : 256|32@1+ (1,0) [0|4294967295] \"us\" X\n");
   StationConfiguration configuration;
-  configuration.can.dbc = folder.path("fd.dbc");
+  configuration.can.dbc = CLAMPD_SOURCE_DIR "/tests/hil/guest/brake_fd.dbc";
   configuration.can.data_bitrate = 4'000'000;
   configuration.can.protection.checksum = "e2e-7";
   configuration.can.mapping = {{"torque_command", "Command.Torque"},
-                               {"enable", "Command.On"},
+                               {"enable", "Command.Enable"},
                                {"force", "Feedback.Force"},
                                {"velocity", "Feedback.Velocity"},
                                {"torque", "Feedback.Torque"},
@@ -230,7 +216,7 @@ TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
                                {"enabled", ""},
                                {"watchdog", ""},
                                {"fault", ""},
-                               {"counter", "Count"},
+                               {"counter", "Counter"},
                                {"crc", "Crc"}};
   auto station = prepare_station(configuration);
   ASSERT_TRUE(station) << station.error().message;
