@@ -82,7 +82,7 @@ Figure limits_figure(const CheckRecord& check, double guard_band_k) {
   panel.x.label = "position between the limits";
   panel.x.ticks = {{0.0, "lower"}, {0.5, "middle"}, {1.0, "upper"}};
   report::Bars tolerance{"limits", {}, {}, {}, Colour::Green, 0.62};
-  report::Bars guard{fmt::format("guard band, {:g} sd", guard_band_k), {}, {}, {}, Colour::Orange, 0.62};
+  report::Bars guard{fmt::format("guard band, {:.3g} sd", guard_band_k), {}, {}, {}, Colour::Orange, 0.62};
   report::Bars uncertainty{"± 2 sd", {}, {}, {}, Colour::Blue, 0.16};
   Points value{"value", {}, {}, Colour::Black, Marker::Dot, 0.7};
   double least = -0.1, most = 1.1;
@@ -417,10 +417,14 @@ Result<std::string> check_report(const CheckReportContents& contents) {
     page.section("Parameters and limits");
     if (!is_about_the_brake(check.verdict))
       page.paragraph("The check was invalid: what follows says nothing about the brake.");
+    const double guard_band_k = check.stopping ? check.stopping->coverage_factor : contents.guard_band_k;
     if (const auto drawn = page.figure(
-            limits_figure(check, contents.guard_band_k),
-            "Each parameter between its limits, with twice its standard deviation. Inside the guard "
-            "band a value is marginal: decided by the value alone.");
+            limits_figure(check, guard_band_k),
+            fmt::format(
+                "Each parameter between its limits, with twice its standard deviation. Inside the guard "
+                "band, {:.3g} standard deviations to either side of a limit, a value is marginal: decided "
+                "by the value alone.",
+                guard_band_k));
         !drawn)
       return tl::unexpected(drawn.error());
     write_parameters(page, check);

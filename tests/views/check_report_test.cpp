@@ -43,6 +43,12 @@ TEST_F(CheckReport, ShowsEverythingAndNeedsNothing) {
     EXPECT_THAT(page, Not(HasSubstr(external)));
 }
 
+TEST_F(CheckReport, ShowsTheGuardBandThatTheVerdictUsed) {
+  EXPECT_THAT(page_of(contents), HasSubstr("guard band, 2 standard deviations to either side"));
+  contents.check.stopping = StoppingRecord{21, 2.608, "every limit decided after 4 runs"};
+  EXPECT_THAT(page_of(contents), HasSubstr("guard band, 2.61 standard deviations to either side"));
+}
+
 TEST_F(CheckReport, AnInvalidCheckSaysSoAndNamesItsCause) {
   contents.check.verdict = Verdict::Error;
   contents.check.cause =
