@@ -12,13 +12,8 @@
 // drive.
 
 #include <fcntl.h>
-#include <linux/can.h>
-#include <linux/can/raw.h>
-#include <net/if.h>
 #include <sched.h>
 #include <signal.h>
-#include <sys/ioctl.h>
-#include <sys/socket.h>
 #include <sys/syscall.h>
 #include <time.h>
 #include <unistd.h>
@@ -33,6 +28,8 @@
 #include <system_error>
 #include <vector>
 
+#include "command_frame.hpp"
+
 namespace {
 
 [[noreturn]] void give_up(const std::string& what) {
@@ -46,30 +43,10 @@ timespec now(clockid_t clock) {
   return time;
 }
 
-ifreq interface_request(const std::string& name) {
-  ifreq request{};
-  name.copy(request.ifr_name, IFNAMSIZ - 1);
-  return request;
-}
-
-int open_can(const std::string& interface) {
-  const int handle = socket(PF_CAN, SOCK_RAW, CAN_RAW);
-  ifreq request = interface_request(interface);
-  if (handle < 0 || ioctl(handle, SIOCGIFINDEX, &request) < 0) give_up(interface);
-  sockaddr_can address{};
-  address.can_family = AF_CAN;
-  address.can_ifindex = request.ifr_ifindex;
-  if (bind(handle, reinterpret_cast<sockaddr*>(&address), sizeof address) < 0) give_up(interface);
+int open_bus(const std::string& interface) {
+  const int handle = open_can(interface);
+  if (handle < 0) give_up(interface);
   return handle;
-}
-
-// In the frame BrakeCommand Enable is the lowest bit of the third byte.
-void wait_for_enable(int handle) {
-  constexpr canid_t kBrakeCommand = 0x100;
-  can_frame frame{};
-  do {
-    if (read(handle, &frame, sizeof frame) != sizeof frame) give_up("at-enable");
-  } while (frame.can_id != kBrakeCommand || (frame.data[2] & 1) == 0);
 }
 
 // A stop is carried out by the thread that gets it: an ordinary one waits for the processor, and the process
@@ -114,7 +91,7 @@ std::function<bool()> prepare(int count, char** words) {
     return [=] { return write(file, text.data(), text.size()) == static_cast<ssize_t>(text.size()); };
   }
   if (count == 4 && verb == "frame") {
-    const int handle = open_can(words[2]);
+    const int handle = open_bus(words[2]);
     can_frame frame{};
     const std::string text = words[3];
     const std::size_t hash = text.find('#');
@@ -136,7 +113,7 @@ std::function<bool()> prepare(int count, char** words) {
 
 int main(int count, char** words) {
   const bool waits = count > 3 && std::strcmp(words[1], "at-enable") == 0;
-  const int bus = waits ? open_can(words[2]) : -1;
+  const int bus = waits ? open_bus(words[2]) : -1;
   if (waits) {
     count -= 2;
     words += 2;
@@ -146,7 +123,7 @@ int main(int count, char** words) {
   // station and the brake go first all the same.
   const sched_param priority{.sched_priority = 10};
   if (sched_setscheduler(0, SCHED_FIFO, &priority) != 0) give_up("real-time priority");
-  if (waits) wait_for_enable(bus);
+  if (waits && !wait_for_command(bus, Command::Enable)) give_up("at-enable");
   const timespec monotonic = now(CLOCK_MONOTONIC);
   const timespec realtime = now(CLOCK_REALTIME);
   if (!act()) give_up(words[1]);

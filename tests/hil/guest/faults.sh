@@ -84,7 +84,8 @@ begin_fault() {
   id=$(echo "$name" | tr ' ' '_')
   echo "--- $name"
   faulty_trace=$trace
-  candump -D -L "$brake_interface,100:7FF" >/tmp/commands.log 2>/dev/null &
+  # Above every ordinary process: a witness that waits for the processor when it is told to end loses what it has not read.
+  chrt -f 1 candump -D -L "$brake_interface,100:7FF" >/tmp/commands.log 2>/dev/null &
   candump_pid=$!
   timeout "${check_timeout_s:-60}" clampctl --config /tmp/station.toml run --serial HIL-1 \
     --repeats ${fault_repeats:-20} --json "/tmp/$id.json" >"/tmp/$id.out" 2>&1 &

@@ -135,7 +135,7 @@ stopped_in() { [ "$(status fault_state)" = "$1" ]; }
 record_commands() {
   name=$1
   echo "--- $name"
-  candump -D -L "$station_interface,100:7FF" >/tmp/commands.log 2>/dev/null &
+  chrt -f 1 candump -D -L "$station_interface,100:7FF" >/tmp/commands.log 2>/dev/null &
   candump_pid=$!
   sleep 0.1
 }

@@ -46,9 +46,9 @@ clamp() {
 
 clamped_or_ended() { clamped || [ -s "/tmp/$id.json" ]; }
 
-# stop_it: from the moment of asking to the answer, to the station's last command for torque and to the end of the torque.
+# stop_it: while torque is asked for; from the moment of asking to the answer, to the station's last command for torque and to the end of the torque.
 stop_it() {
-  http_clients $port stop >/tmp/stop || fail "$name: $(cat /tmp/stop)"
+  http_clients $port stop "$station_interface" >/tmp/stop 2>&1 || fail "$name: $(cat /tmp/stop)"
   read -r asked_s asked_realtime_s answered_s </tmp/stop
   sleep 0.2 # whatever still moves the brake shows in its trace
   stop_recording
