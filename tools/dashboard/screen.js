@@ -105,7 +105,8 @@ function showInterlocks() {
 
 function publishingTrouble(channel) {
   if (!channel.error && (channel.connected || channel.pending === 0)) return '';
-  const waiting = channel.pending > 0 ? ` ${channel.pending} checks wait to be published; they are safe in the station’s database.` : '';
+  const many = channel.pending === 1 ? '1 check waits to be published; it is' : `${channel.pending} checks wait to be published; they are`;
+  const waiting = channel.pending > 0 ? ` ${many} safe in the station’s database.` : '';
   return `${channel.channel} (${channel.where}): ${channel.error || 'not connected.'}${waiting}`;
 }
 
