@@ -31,6 +31,7 @@ using http::Request;
 using http::Response;
 using Names = std::vector<std::string_view>;
 
+constexpr int kNice = -10;  // so that a stop waits for no ordinary process of the machine
 constexpr std::string_view kJson = "application/json";
 constexpr std::uint32_t kMaxChecks = 1000;  // of one answer
 
@@ -471,6 +472,7 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& targe
   http.port = settings.port;
   http.inherited = inherited;
   http.pools = kWorkers;
+  http.nice = kNice;
   http.headers = kHeaders;
   http.report = [](const std::string& what) { spdlog::error("control API: {}", what); };
   auto server = http::Server::start(std::move(http),

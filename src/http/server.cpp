@@ -1,7 +1,9 @@
 #include "clampd/http/server.hpp"
 
 #include <fcntl.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
@@ -390,6 +392,8 @@ void Server::Implementation::serve() {
 }
 
 void Server::Implementation::run() noexcept {
+  // Without the right to it the server works all the same, only later on a loaded machine.
+  if (settings_.nice != 0) setpriority(PRIO_PROCESS, static_cast<id_t>(gettid()), settings_.nice);
   while (!context_.stopped()) {
     try {
       if (!accepting_) accept();

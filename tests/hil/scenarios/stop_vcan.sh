@@ -1,6 +1,7 @@
 # A stop is acknowledged and the torque at zero within 50 ms, whatever else the station has to do: 100,000 checks on record,
 # 100 clients that are silent, slow or greedy (CLAMPD_STOP_CLIENTS: as many as asked for), and a disk that takes nothing for 30 s.
-# With 1,000 the emulated processor is so busy with loopback traffic that a check may end in missed ticks before it is stopped.
+# With 1,000 the emulated processor of 250 million instructions a second is so busy with loopback traffic that a check may end in
+# missed ticks before it is stopped.
 #
 # qemu: -m 2048
 # environment: CLAMPD_STOP_CLIENTS

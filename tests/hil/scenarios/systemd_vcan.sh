@@ -50,6 +50,7 @@ runs_as_it_should() {
   cat /tmp/threads
   expect "its loop is SCHED_FIFO $station_priority" grep -q "1 clampd-rt SCHED_FIFO $station_priority" /tmp/threads
   expect "no other thread of it is real-time" [ "$(grep -c SCHED_FIFO /tmp/threads)" = 1 ]
+  expect "the thread that takes a stop goes before ordinary ones" [ "$(awk '$19 == -10' /proc/"$pid"/task/*/stat | wc -l)" = 1 ]
   expect "its memory is locked" [ "$(awk '/^VmLck:/ { print $2 }' /proc/"$pid"/status)" -gt 0 ]
   expect "it forbids deep sleep" quietly sh -c "ls -l /proc/$pid/fd | grep cpu_dma_latency"
   expect "systemd listens for it" property_is clampd.socket SubState running
