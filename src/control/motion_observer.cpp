@@ -20,75 +20,91 @@ constexpr int kSubsteps = 4;
 }  // namespace
 
 void MotionObserver::reset(const MotionState& known) noexcept {
-  state_[0] = known.position_rad;
-  state_[1] = known.velocity_rad_s;
-  state_[2] = known.friction_excess_Nm;
-  for (auto& row : covariance_)
-    for (double& entry : row) entry = 0.0;
-  covariance_[0][0] = kPositionVariance_rad2;
-  covariance_[1][1] = 100.0;
-  covariance_[2][2] = kFrictionStartVariance_Nm2;
+  state_ = known;
+  covariance_ = {.pp = kPositionVariance_rad2, .vv = 100.0, .ff = kFrictionStartVariance_Nm2};
 }
 
+// The encoder's reading, then the velocity's: two scalar updates, gain * innovation and P - gain * (P's row).
 void MotionObserver::correct(double position_rad, double velocity_rad_s) noexcept {
-  update(0, position_rad, kPositionVariance_rad2);
-  update(1, velocity_rad_s, kVelocityVariance);
-  state_[2] = std::clamp(state_[2], -kFrictionLimit_Nm, kFrictionLimit_Nm);
-}
+  MotionState x = state_;
+  Covariance c = covariance_;
 
-void MotionObserver::update(int component, double reading, double variance) noexcept {
-  const double innovation = reading - state_[component];
-  const double total = covariance_[component][component] + variance;
-  double gain[3];
-  for (int i = 0; i < 3; ++i) gain[i] = covariance_[i][component] / total;
-  double row[3];
-  for (int j = 0; j < 3; ++j) row[j] = covariance_[component][j];
-  for (int i = 0; i < 3; ++i) {
-    state_[i] += gain[i] * innovation;
-    for (int j = 0; j < 3; ++j) covariance_[i][j] -= gain[i] * row[j];
-  }
+  const double position_variance = c.pp + kPositionVariance_rad2;
+  const double p_by_p = c.pp / position_variance, v_by_p = c.pv / position_variance,
+               f_by_p = c.pf / position_variance;
+  const double travel_rad = position_rad - x.position_rad;
+  x.position_rad += p_by_p * travel_rad;
+  x.velocity_rad_s += v_by_p * travel_rad;
+  x.friction_excess_Nm += f_by_p * travel_rad;
+  c.vv -= v_by_p * c.pv;
+  c.vf -= v_by_p * c.pf;
+  c.ff -= f_by_p * c.pf;
+  c.pp -= p_by_p * c.pp;
+  c.pv -= p_by_p * c.pv;
+  c.pf -= p_by_p * c.pf;
+
+  const double velocity_variance = c.vv + kVelocityVariance;
+  const double p_by_v = c.pv / velocity_variance, v_by_v = c.vv / velocity_variance,
+               f_by_v = c.vf / velocity_variance;
+  const double faster_rad_s = velocity_rad_s - x.velocity_rad_s;
+  x.position_rad += p_by_v * faster_rad_s;
+  x.velocity_rad_s += v_by_v * faster_rad_s;
+  x.friction_excess_Nm += f_by_v * faster_rad_s;
+  c.pp -= p_by_v * c.pv;
+  c.pf -= p_by_v * c.vf;
+  c.ff -= f_by_v * c.vf;
+  c.pv -= p_by_v * c.vv;
+  c.vf -= v_by_v * c.vf;
+  c.vv -= v_by_v * c.vv;
+
+  x.friction_excess_Nm = std::clamp(x.friction_excess_Nm, -kFrictionLimit_Nm, kFrictionLimit_Nm);
+  state_ = x;
+  covariance_ = c;
 }
 
 void MotionObserver::predict(const NominalDrive& drive, double torque_Nm, double force_N,
                              int periods) noexcept {
-  const double h = kPeriod_s / kSubsteps;
-  const double per_inertia = h / drive.inertia_kg_m2;
-  const double load_Nm = drive.ratio_m_rad * force_N;
+  constexpr double kStep_s = kPeriod_s / kSubsteps;
+  const double step_per_inertia = kStep_s / drive.inertia_kg_m2;
+  const double push_rad_s = step_per_inertia * (torque_Nm - drive.ratio_m_rad * force_N);
+  const double drag = 1.0 + step_per_inertia * drive.viscous_Nm_s_rad;
   for (int period = 0; period < periods; ++period) {
-    const double before_rad_s = state_[1];
+    const double before_rad_s = state_.velocity_rad_s;
+    double v = before_rad_s;
     for (int i = 0; i < kSubsteps; ++i) {
-      const double v = state_[1];
-      const double level = std::max(0.0, drive.dry_friction_Nm(std::abs(v), force_N) + state_[2]);
-      const double free = v + per_inertia * (torque_Nm - load_Nm);
-      const double slip = std::copysign(std::max(0.0, std::abs(free) - per_inertia * level), free);
-      state_[1] = slip / (1.0 + per_inertia * drive.viscous_Nm_s_rad);
-      state_[0] += 0.5 * h * (v + state_[1]);
+      const double friction_Nm =
+          std::max(0.0, drive.dry_friction_Nm(v, force_N) + state_.friction_excess_Nm);
+      const double holds_rad_s = step_per_inertia * friction_Nm;
+      const double free_rad_s = v + push_rad_s;
+      const double next = (free_rad_s - std::clamp(free_rad_s, -holds_rad_s, holds_rad_s)) / drag;
+      state_.position_rad += 0.5 * kStep_s * (v + next);
+      v = next;
     }
-    // At rest friction balances whatever acts: then neither velocity nor friction excess have an influence.
-    const bool slides = state_[1] != 0.0;
-    const double direction = slides ? std::copysign(1.0, state_[1]) : 0.0;
-    const double keep = slides || before_rad_s != 0.0 ? 1.0 : 0.0;
-    const double gain = kPeriod_s / drive.inertia_kg_m2;
-    const double transition[3][3] = {{1.0, kPeriod_s * keep, -0.5 * kPeriod_s * gain * direction},
-                                     {0.0, keep, -gain * direction},
-                                     {0.0, 0.0, 1.0}};
-    double product[3][3] = {};
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j)
-        for (int k = 0; k < 3; ++k) product[i][j] += transition[i][k] * covariance_[k][j];
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j) {
-        covariance_[i][j] = 0.0;
-        for (int k = 0; k < 3; ++k) covariance_[i][j] += product[i][k] * transition[j][k];
-      }
-    const double kick = gain * gain * kTorqueVariance_Nm2;
-    covariance_[1][1] += kick;
-    covariance_[0][1] += 0.5 * kPeriod_s * kick;
-    covariance_[1][0] += 0.5 * kPeriod_s * kick;
-    covariance_[0][0] += 0.25 * kPeriod_s * kPeriod_s * kick;
-    if (slides)
-      covariance_[2][2] = std::min(covariance_[2][2] + kFrictionStepVariance_Nm2, kFrictionLimit_Nm);
+    state_.velocity_rad_s = v;
+    propagate(kPeriod_s / drive.inertia_kg_m2, before_rad_s);
   }
+}
+
+// P becomes T P T' + Q with T = (1 dt x; 0 1 v; 0 0 1), where v and x are what friction takes from velocity and position.
+void MotionObserver::propagate(double gain, double before_rad_s) noexcept {
+  Covariance& c = covariance_;
+  const bool slides = state_.velocity_rad_s != 0.0;
+  // At rest friction balances whatever acts: then neither velocity nor friction excess have an influence.
+  if (!slides && before_rad_s == 0.0) c.pv = c.vv = c.vf = 0.0;
+  const double v = slides ? -std::copysign(gain, state_.velocity_rad_s) : 0.0;
+  const double x = 0.5 * kPeriod_s * v;
+  const double pp = c.pp + kPeriod_s * c.pv + x * c.pf;
+  const double pv = c.pv + kPeriod_s * c.vv + x * c.vf;
+  const double pf = c.pf + kPeriod_s * c.vf + x * c.ff;
+  const double vv = c.vv + v * c.vf;
+  const double vf = c.vf + v * c.ff;
+  const double kick = gain * gain * kTorqueVariance_Nm2;
+  c.pp = pp + kPeriod_s * pv + x * pf + 0.25 * kPeriod_s * kPeriod_s * kick;
+  c.pv = pv + v * pf + 0.5 * kPeriod_s * kick;
+  c.pf = pf;
+  c.vv = vv + v * vf + kick;
+  c.vf = vf;
+  if (slides) c.ff = std::min(c.ff + kFrictionStepVariance_Nm2, kFrictionLimit_Nm);
 }
 
 }  // namespace clampd

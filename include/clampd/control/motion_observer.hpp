@@ -28,15 +28,20 @@ class MotionObserver {
   CLAMPD_REALTIME void predict(const NominalDrive& drive, double torque_Nm, double force_N,
                                int periods) noexcept;
 
-  CLAMPD_REALTIME double position_rad() const noexcept { return state_[0]; }
-  CLAMPD_REALTIME double velocity_rad_s() const noexcept { return state_[1]; }
-  CLAMPD_REALTIME MotionState state() const noexcept { return {state_[0], state_[1], state_[2]}; }
+  CLAMPD_REALTIME double position_rad() const noexcept { return state_.position_rad; }
+  CLAMPD_REALTIME double velocity_rad_s() const noexcept { return state_.velocity_rad_s; }
+  CLAMPD_REALTIME const MotionState& state() const noexcept { return state_; }
 
  private:
-  CLAMPD_REALTIME void update(int component, double reading, double variance) noexcept;
+  /// Of position (p), velocity (v) and friction excess (f): the upper triangle of the symmetric matrix.
+  struct Covariance {
+    double pp = 0.0, pv = 0.0, pf = 0.0, vv = 0.0, vf = 0.0, ff = 0.0;
+  };
 
-  double state_[3] = {0.0, 0.0, 0.0};
-  double covariance_[3][3] = {};
+  CLAMPD_REALTIME void propagate(double gain, double before_rad_s) noexcept;
+
+  MotionState state_;
+  Covariance covariance_;
 };
 
 }  // namespace clampd
