@@ -65,46 +65,42 @@ void MotionObserver::correct(double position_rad, double velocity_rad_s) noexcep
 void MotionObserver::predict(const NominalDrive& drive, double torque_Nm, double force_N,
                              int periods) noexcept {
   constexpr double kStep_s = kPeriod_s / kSubsteps;
-  const double step_per_inertia = kStep_s / drive.inertia_kg_m2;
-  const double push_rad_s = step_per_inertia * (torque_Nm - drive.ratio_m_rad * force_N);
-  const double drag = 1.0 + step_per_inertia * drive.viscous_Nm_s_rad;
+  const double per_inertia = 1.0 / drive.inertia_kg_m2;
+  const double push_rad_s = kStep_s * per_inertia * (torque_Nm - drive.ratio_m_rad * force_N);
+  const double drag = 1.0 / (1.0 + kStep_s * per_inertia * drive.viscous_Nm_s_rad);
+  const DryFriction friction = drive.dry_friction(force_N);
+  // By how much 1 N m changes the velocity in a period, and what that is worth of the torque's variance.
+  const double gain = kPeriod_s * per_inertia, kick = gain * gain * kTorqueVariance_Nm2;
+  MotionState state = state_;
+  Covariance c = covariance_;
   for (int period = 0; period < periods; ++period) {
-    const double before_rad_s = state_.velocity_rad_s;
-    double v = before_rad_s;
+    const double before_rad_s = state.velocity_rad_s;
     for (int i = 0; i < kSubsteps; ++i) {
-      const double friction_Nm =
-          std::max(0.0, drive.dry_friction_Nm(v, force_N) + state_.friction_excess_Nm);
-      const double holds_rad_s = step_per_inertia * friction_Nm;
-      const double free_rad_s = v + push_rad_s;
-      const double next = (free_rad_s - std::clamp(free_rad_s, -holds_rad_s, holds_rad_s)) / drag;
-      state_.position_rad += 0.5 * kStep_s * (v + next);
-      v = next;
+      const double level_Nm = friction.torque_Nm(state.velocity_rad_s) + state.friction_excess_Nm;
+      const double holds_rad_s = kStep_s * per_inertia * std::max(0.0, level_Nm);
+      const double free_rad_s = state.velocity_rad_s + push_rad_s;
+      const double next_rad_s = (free_rad_s - std::clamp(free_rad_s, -holds_rad_s, holds_rad_s)) * drag;
+      state.position_rad += 0.5 * kStep_s * (state.velocity_rad_s + next_rad_s);
+      state.velocity_rad_s = next_rad_s;
     }
-    state_.velocity_rad_s = v;
-    propagate(kPeriod_s / drive.inertia_kg_m2, before_rad_s);
+    // At rest friction balances whatever acts: then neither velocity nor friction excess have an influence.
+    const bool slides = state.velocity_rad_s != 0.0;
+    if (!slides && before_rad_s == 0.0) c.pv = c.vv = c.vf = 0.0;
+    // T P T' + Q with T = (1 dt x; 0 1 v; 0 0 1): v and x is what 1 N m of friction does to velocity and position.
+    const double v = slides ? std::copysign(gain, -state.velocity_rad_s) : 0.0;
+    const double x = 0.5 * kPeriod_s * v;
+    const double pv = c.pv + kPeriod_s * c.vv + x * c.vf;
+    const double pf = c.pf + kPeriod_s * c.vf + x * c.ff;
+    const double vf = c.vf + v * c.ff;
+    c.pp += kPeriod_s * (c.pv + pv) + x * (c.pf + pf) + 0.25 * kPeriod_s * kPeriod_s * kick;
+    c.pv = pv + v * pf + 0.5 * kPeriod_s * kick;
+    c.pf = pf;
+    c.vv += v * (c.vf + vf) + kick;
+    c.vf = vf;
+    if (slides) c.ff = std::min(c.ff + kFrictionStepVariance_Nm2, kFrictionLimit_Nm);
   }
-}
-
-// P becomes T P T' + Q with T = (1 dt x; 0 1 v; 0 0 1), where v and x are what friction takes from velocity and position.
-void MotionObserver::propagate(double gain, double before_rad_s) noexcept {
-  Covariance& c = covariance_;
-  const bool slides = state_.velocity_rad_s != 0.0;
-  // At rest friction balances whatever acts: then neither velocity nor friction excess have an influence.
-  if (!slides && before_rad_s == 0.0) c.pv = c.vv = c.vf = 0.0;
-  const double v = slides ? -std::copysign(gain, state_.velocity_rad_s) : 0.0;
-  const double x = 0.5 * kPeriod_s * v;
-  const double pp = c.pp + kPeriod_s * c.pv + x * c.pf;
-  const double pv = c.pv + kPeriod_s * c.vv + x * c.vf;
-  const double pf = c.pf + kPeriod_s * c.vf + x * c.ff;
-  const double vv = c.vv + v * c.vf;
-  const double vf = c.vf + v * c.ff;
-  const double kick = gain * gain * kTorqueVariance_Nm2;
-  c.pp = pp + kPeriod_s * pv + x * pf + 0.25 * kPeriod_s * kPeriod_s * kick;
-  c.pv = pv + v * pf + 0.5 * kPeriod_s * kick;
-  c.pf = pf;
-  c.vv = vv + v * vf + kick;
-  c.vf = vf;
-  if (slides) c.ff = std::min(c.ff + kFrictionStepVariance_Nm2, kFrictionLimit_Nm);
+  state_ = state;
+  covariance_ = c;
 }
 
 }  // namespace clampd

@@ -38,8 +38,6 @@ class MotionObserver {
     double pp = 0.0, pv = 0.0, pf = 0.0, vv = 0.0, vf = 0.0, ff = 0.0;
   };
 
-  CLAMPD_REALTIME void propagate(double gain, double before_rad_s) noexcept;
-
   MotionState state_;
   Covariance covariance_;
 };
