@@ -41,36 +41,65 @@ constexpr int kBridgedGap = 3;         // samples that may be missing
 constexpr int kLearnSamples = 50;  // at rest, before noise counts as known
 constexpr int kNoisyRow = 8;       // a longer row of equal readings at rest: too little noise to judge by
 constexpr int kRepeatFactor = 5, kRepeatMargin = 5;
-constexpr int kMaxRepeats = 1'000'000;
 
 /// Of five, so that two outliers beside each other are none. Without branches.
 double median_of(const std::array<double, 5>& values) noexcept {
-  const auto& [a, b, c, d, e] = values;
+  const auto [a, b, c, d, e] = values;
   const double lower = std::max(std::min(a, b), std::min(c, d));
   const double upper = std::min(std::max(a, b), std::max(c, d));
   return std::max(std::min(lower, upper), std::min(std::max(lower, upper), e));
 }
 
-template <std::size_t n>
-void push(std::array<double, n>& history, double value) noexcept {
-  std::copy(history.begin() + 1, history.end(), history.begin());
-  history.back() = value;
-}
-
 }  // namespace
 
-bool RepeatWatch::repeats_too_often(double reading, bool learn) noexcept {
-  const bool same = has_last_ && reading == last_;
-  repeats_ = same ? std::min(repeats_ + 1, kMaxRepeats) : 0;
-  last_ = reading;
-  has_last_ = true;
+void RepeatWatch::learn() noexcept {
+  learned_ = std::min(learned_ + 1, kMax);
+  longest_ = std::max(longest_, repeats_);
   const bool known = learned_ >= kLearnSamples && longest_ <= kNoisyRow;
-  if (known && repeats_ > kRepeatFactor * std::max(longest_, 1) + kRepeatMargin) return true;
-  if (learn) {
-    learned_ = std::min(learned_ + 1, kMaxRepeats);
-    longest_ = std::max(longest_, repeats_);
+  tolerated_ = known ? kRepeatFactor * std::max(longest_, 1) + kRepeatMargin : kMax;
+}
+
+ReadingMonitor::Bounds::Bounds(const NominalDrive& drive) noexcept
+    : nominal(drive),
+      sluggish(drive),
+      light_per_kg_m2(1.0 / (kInertiaLower * drive.inertia_kg_m2)),
+      heavy_per_kg_m2(1.0 / (kInertiaUpper * drive.inertia_kg_m2)),
+      steep_rad(1e3),
+      top_rad(std::numeric_limits<double>::infinity()) {
+  sluggish.coulomb_Nm *= kDryFriction;
+  sluggish.static_Nm *= kDryFriction;
+  sluggish.load_friction_Nm_N *= kDryFriction;
+  sluggish.stribeck_rad_s *= kStribeckWidth;
+  sluggish.viscous_Nm_s_rad *= kViscousFriction;
+  if (drive.cubic_N_rad3 >= 0.0) return;
+  // A cubic with k1 < 0 turns over; its steepest place is half way, and it is steep enough to a little beyond.
+  // Past its top nothing is known but that the force is there.
+  top_rad = 2.0 / 3.0 * drive.quadratic_N_rad2 / -drive.cubic_N_rad3;
+  steep_rad = 0.55 * top_rad;
+}
+
+/// Of the nominal brake where it has this force.
+double ReadingMonitor::Bounds::slope_N_rad(double force_N) const noexcept {
+  if (force_N <= 0.0) return 0.0;
+  const double cubic = nominal.cubic_N_rad3, quadratic = nominal.quadratic_N_rad2;
+  double u = std::sqrt(force_N / quadratic);
+  for (int i = 0; i < 2; ++i) {
+    u = std::min(u, steep_rad);
+    const double excess_N = (cubic * u + quadratic) * u * u - force_N;
+    u -= excess_N / std::max((3.0 * cubic * u + 2.0 * quadratic) * u, 1.0);
   }
-  return false;
+  return nominal.stiffness().slope_N_rad(std::min(u, steep_rad));
+}
+
+double ReadingMonitor::Bounds::nominal_N(double compression_rad) const noexcept {
+  return nominal.stiffness().force_N(std::min(compression_rad, top_rad));
+}
+
+/// The most that friction may be.
+DryFriction ReadingMonitor::Bounds::friction(double force_N) const noexcept {
+  DryFriction friction = sluggish.dry_friction(force_N);
+  friction.coulomb_Nm += kCoulombLoad_Nm_N * force_N;
+  return friction;
 }
 
 void ReadingMonitor::Excess::add(double change, const Interval& bounds, double keep) noexcept {
@@ -78,22 +107,24 @@ void ReadingMonitor::Excess::add(double change, const Interval& bounds, double k
   below = std::max(0.0, keep * below - change + bounds.lower);
 }
 
-void ReadingMonitor::restart() noexcept {
-  const auto commands_Nm = commands_Nm_;
-  *this = ReadingMonitor(tolerances_, drive_);
-  commands_Nm_ = commands_Nm;
+bool ReadingMonitor::Levels::contradict() const noexcept {
+  const double largest = std::max(std::max(std::max(torque, position), std::max(by_velocity, by_position)),
+                                  std::max(force, compression));
+  return largest >= 1.0 || velocity_stuck || force_stuck;
 }
 
-void ReadingMonitor::commanded(double torque_Nm) noexcept {
-  push(commands_Nm_, torque_Nm);
+void ReadingMonitor::restart() noexcept {
+  const auto commands_Nm = commands_Nm_;
+  *this = ReadingMonitor(tolerances_, bounds_.nominal);
+  commands_Nm_ = commands_Nm;
 }
 
 void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {
   torques_Nm_.fill(feedback.torque_Nm);
   forces_N_.fill(feedback.force_N);
   force_N_ = feedback.force_N;
-  by_velocity_ = {feedback.velocity_rad_s, {}, 0.0, 0.0};
-  by_position_ = {feedback.velocity_rad_s, {}, 0.0, 0.0};
+  by_velocity_ = {feedback.velocity_rad_s, {}, 0.0};
+  by_position_ = {feedback.velocity_rad_s, {}, 0.0};
   torque_excess_Nm_ = position_excess_rad_ = unanswered_N_ = 0.0;
   force_excess_N_ = {};
   settling_ = kHistory;
@@ -101,68 +132,39 @@ void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {
   has_previous_ = true;
 }
 
-ReadingMonitor::Interval ReadingMonitor::torque_range() const noexcept {
-  const auto [lowest, highest] = std::minmax_element(torques_Nm_.begin(), torques_Nm_.end());
-  return {*lowest, *highest};
+ReadingMonitor::Interval ReadingMonitor::range(const Last<kHistory>& last) noexcept {
+  const auto [a, b, c, d] = last.values();
+  return {std::min(std::min(a, b), std::min(c, d)), std::max(std::max(a, b), std::max(c, d))};
 }
 
-/// The most that friction may be at this speed and force.
-double ReadingMonitor::friction_Nm(double speed_rad_s, double force_N) const noexcept {
-  return kDryFriction * drive_.dry_friction_Nm(speed_rad_s / kStribeckWidth, force_N) +
-         kCoulombLoad_Nm_N * force_N + kViscousFriction * drive_.viscous_Nm_s_rad * speed_rad_s;
-}
-
-/// Of the nominal brake where it has this force.
-double ReadingMonitor::slope_N_rad(double force_N) const noexcept {
-  if (force_N <= 0.0) return 0.0;
-  const StiffnessCurve nominal = drive_.stiffness();
-  const double cubic = nominal.cubic_N_rad3, quadratic = nominal.quadratic_N_rad2;
-  double u = std::sqrt(force_N / quadratic);
-  // A cubic with k1 < 0 turns over at the end; its steepest place is half way, and it is steep enough to
-  // there.
-  const double end_rad = cubic < 0.0 ? 0.55 * quadratic / -cubic * (2.0 / 3.0) : 1e3;
-  for (int i = 0; i < 2; ++i) {
-    u = std::min(u, end_rad);
-    u -= (nominal.force_N(u) - force_N) / std::max(nominal.slope_N_rad(u), 1.0);
-  }
-  return nominal.slope_N_rad(std::clamp(u, 0.0, end_rad));
-}
-
-double ReadingMonitor::nominal_N(double compression_rad) const noexcept {
-  const double quadratic = drive_.quadratic_N_rad2, cubic = drive_.cubic_N_rad3;
-  // Beyond the top of the nominal curve nothing is known but that the force is there.
-  const double top_rad = cubic < 0.0 ? 2.0 / 3.0 * quadratic / -cubic : compression_rad;
-  const double u = std::clamp(compression_rad, 0.0, std::max(0.0, top_rad));
-  return drive_.stiffness().force_N(u);
-}
-
-void ReadingMonitor::compare_torque(double samples) noexcept {
-  const auto [lowest, highest] = std::minmax_element(commands_Nm_.begin(), commands_Nm_.end());
-  const double reading_Nm = torques_Nm_.back();
-  const double beyond_Nm = std::max({0.0, *lowest - reading_Nm, reading_Nm - *highest});
-  const double largest_Nm = std::max({std::abs(*lowest), std::abs(*highest), std::abs(reading_Nm)});
+double ReadingMonitor::compare_torque(double reading_Nm, double samples) noexcept {
+  const Interval commands_Nm = range(commands_Nm_);
+  const double beyond_Nm =
+      std::max(0.0, std::max(commands_Nm.lower - reading_Nm, reading_Nm - commands_Nm.upper));
+  const double largest_Nm = std::max(std::max(std::abs(commands_Nm.lower), std::abs(commands_Nm.upper)),
+                                     std::abs(reading_Nm));
   const double excess_Nm = beyond_Nm - tolerances_.torque_Nm - kTorqueShare * largest_Nm;
   torque_excess_Nm_ =
       std::max(0.0, torque_excess_Nm_ + std::max(excess_Nm, -tolerances_.torque_Nm) * samples);
-  torque_level_ = torque_excess_Nm_ / (kTorqueSamples * tolerances_.torque_Nm);
+  return torque_excess_Nm_ / (kTorqueSamples * tolerances_.torque_Nm);
 }
 
-ReadingMonitor::Drivers ReadingMonitor::drivers() const noexcept {
-  Drivers drivers;
-  drivers.force_N = std::max(0.0, force_N_);
-  const Interval torque_Nm = torque_range();
+ReadingMonitor::Drivers ReadingMonitor::drivers(double elapsed_s, bool stop_ahead) const noexcept {
+  const double force_N = std::max(0.0, force_N_);
+  const Interval torque_Nm = range(torques_Nm_);
   const double unknown_Nm = kTorqueUnknown_Nm + kTorqueUnknownShare * std::max(std::abs(torque_Nm.lower),
                                                                                std::abs(torque_Nm.upper));
-  const double load_lower_Nm =
-      kRatioLower * drive_.ratio_m_rad * std::max(0.0, drivers.force_N - kForceUnknown_N);
-  const double load_upper_Nm = kRatioUpper * drive_.ratio_m_rad * (drivers.force_N + kForceUnknown_N);
-  drivers.torque_Nm = {torque_Nm.lower - load_upper_Nm - unknown_Nm,
-                       torque_Nm.upper - load_lower_Nm + unknown_Nm};
-  return drivers;
+  const double ratio_m_rad = bounds_.nominal.ratio_m_rad;
+  const double load_lower_Nm = kRatioLower * ratio_m_rad * std::max(0.0, force_N - kForceUnknown_N);
+  const double load_upper_Nm = kRatioUpper * ratio_m_rad * (force_N + kForceUnknown_N);
+  return {{torque_Nm.lower - load_upper_Nm - unknown_Nm, torque_Nm.upper - load_lower_Nm + unknown_Nm},
+          bounds_.friction(force_N),
+          elapsed_s,
+          stop_ahead};
 }
 
-void ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers& drivers, double velocity_rad_s,
-                                      double elapsed_s, bool stop_ahead) noexcept {
+double ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers& drivers,
+                                        double velocity_rad_s) noexcept {
   const double before_rad_s = momentum.before_rad_s;
   momentum.before_rad_s = velocity_rad_s;
   const double slower_rad_s = std::min(std::abs(velocity_rad_s), std::abs(before_rad_s));
@@ -170,68 +172,65 @@ void ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers& drivers
   const bool forward = std::min(velocity_rad_s, before_rad_s) > kSurelyMoving_rad_s;
   const bool backward = std::max(velocity_rad_s, before_rad_s) < -kSurelyMoving_rad_s;
 
-  const double friction_Nm = this->friction_Nm(slower_rad_s, drivers.force_N) +
-                             kViscousFriction * drive_.viscous_Nm_s_rad * (faster_rad_s - slower_rad_s);
+  const double friction_Nm =
+      drivers.friction.torque_Nm(slower_rad_s) + bounds_.sluggish.viscous_Nm_s_rad * faster_rad_s;
   const double most_Nm = drivers.torque_Nm.upper + (forward ? 0.0 : friction_Nm);
   const double least_Nm = drivers.torque_Nm.lower - (backward ? 0.0 : friction_Nm);
-  const double light = kInertiaLower * drive_.inertia_kg_m2, heavy = kInertiaUpper * drive_.inertia_kg_m2;
-  const Interval change_rad_s{elapsed_s * least_Nm / (least_Nm < 0.0 ? light : heavy),
-                              elapsed_s * most_Nm / (most_Nm > 0.0 ? light : heavy)};
+  const double light = drivers.elapsed_s * bounds_.light_per_kg_m2,
+               heavy = drivers.elapsed_s * bounds_.heavy_per_kg_m2;
+  const Interval change_rad_s{std::min(least_Nm * light, least_Nm * heavy),
+                              std::max(most_Nm * light, most_Nm * heavy)};
 
   momentum.excess_rad_s.add(velocity_rad_s - before_rad_s, change_rad_s, kForgetSlow);
   // The stop holds what opens; it turns nothing round.
-  if (stop_ahead && velocity_rad_s < kSurelyMoving_rad_s) momentum.excess_rad_s.above = 0.0;
-  momentum.level = momentum.excess_rad_s.larger() / tolerances_.velocity_rad_s;
-  momentum.peak = std::max(kForgetSlow * momentum.peak, momentum.level);
+  if (drivers.stop_ahead && velocity_rad_s < kSurelyMoving_rad_s) momentum.excess_rad_s.above = 0.0;
+  const double level = momentum.excess_rad_s.larger() / tolerances_.velocity_rad_s;
+  momentum.peak = std::max(kForgetSlow * momentum.peak, level);
+  return level;
 }
 
-void ReadingMonitor::compare_position(const BrakeFeedback& feedback, double step_rad,
-                                      double elapsed_s) noexcept {
-  const double mean_rad_s = 0.5 * (feedback.velocity_rad_s + previous_.velocity_rad_s);
+double ReadingMonitor::compare_position(double velocity_rad_s, double step_rad, double elapsed_s) noexcept {
+  const double mean_rad_s = 0.5 * (velocity_rad_s + previous_.velocity_rad_s);
   position_excess_rad_ = kForgetFast * position_excess_rad_ + step_rad - mean_rad_s * elapsed_s;
   const double both_rad_s = std::min(std::abs(mean_rad_s), std::abs(step_rad / elapsed_s));
   common_speed_rad_s_ = std::max(kForgetFast * common_speed_rad_s_, both_rad_s);
-  position_level_ = std::abs(position_excess_rad_) /
-                    (tolerances_.position_rad + kVelocityLag_samples * kPeriod_s * common_speed_rad_s_);
+  return std::abs(position_excess_rad_) /
+         (tolerances_.position_rad + kVelocityLag_samples * kPeriod_s * common_speed_rad_s_);
 }
 
-void ReadingMonitor::compare_force(const BrakeFeedback& feedback, double step_rad) noexcept {
+double ReadingMonitor::compare_force(double reading_N, double step_rad) noexcept {
   const double before_N = force_N_;
-  push(forces_N_, feedback.force_N);
-  force_N_ = median_of(forces_N_);
-  const double change_N = force_N_ - before_N;
+  forces_N_.push(reading_N);
+  force_N_ = median_of(forces_N_.values());
 
-  const double slope_lower = kSlopeLower * slope_N_rad(before_N - tolerances_.force_N);
-  const double slope_upper = kSlopeUpper * slope_N_rad(before_N + tolerances_.force_N) + kSlopeUnknown_N_rad;
-  const double slope = slope_N_rad(std::max(before_N, 0.0));
-  const double closing_rad = std::max(0.0, step_rad), opening_rad = std::min(0.0, step_rad);
-  const Interval bounds_N{slope_lower * closing_rad + slope_upper * opening_rad,
-                          slope_upper * closing_rad + slope_lower * opening_rad};
-  force_excess_N_.add(change_N, bounds_N, kForgetForce);
-  force_rate_N_ = std::max(kForgetFast * force_rate_N_, slope * std::abs(step_rad));
+  const double slope_lower = kSlopeLower * bounds_.slope_N_rad(before_N - tolerances_.force_N);
+  const double slope_upper =
+      kSlopeUpper * bounds_.slope_N_rad(before_N + tolerances_.force_N) + kSlopeUnknown_N_rad;
+  const double due_N = bounds_.slope_N_rad(before_N) * std::abs(step_rad);
+  const Interval bounds_N{std::min(slope_lower * step_rad, slope_upper * step_rad),
+                          std::max(slope_lower * step_rad, slope_upper * step_rad)};
+  force_excess_N_.add(force_N_ - before_N, bounds_N, kForgetForce);
+  force_rate_N_ = std::max(kForgetFast * force_rate_N_, due_N);
+
+  const bool in_contact = before_N > tolerances_.force_N;
+  unanswered_N_ = reading_N == previous_.force_N && in_contact ? unanswered_N_ + 0.5 * due_N : 0.0;
 
   const double force_N = std::max(0.0, before_N);
   const double tolerance_N = tolerances_.force_N + kForceShare * force_N + kForceLag_samples * force_rate_N_;
-  const double jump_N = std::abs(feedback.force_N - before_N);
-  force_level_ = std::max({force_excess_N_.above / tolerance_N,
-                           force_excess_N_.below / (tolerance_N + kRelaxation * force_N),
-                           jump_N / (kForceJump * tolerance_N)});
-
-  const bool same = feedback.force_N == previous_.force_N;
-  const bool in_contact = before_N > tolerances_.force_N;
-  unanswered_N_ = same && in_contact ? unanswered_N_ + 0.5 * slope * std::abs(step_rad) : 0.0;
+  const double jump_N = std::abs(reading_N - before_N);
+  return std::max(std::max(force_excess_N_.above / tolerance_N,
+                           force_excess_N_.below / (tolerance_N + kRelaxation * force_N)),
+                  jump_N / (kForceJump * tolerance_N));
 }
 
-void ReadingMonitor::compare_compression(const BrakeFeedback& feedback,
-                                         const ReadingContext& context) noexcept {
-  compression_level_ = 0.0;
-  if (!context.contact_known) return;
-  const double compression_rad = feedback.position_rad - context.contact_rad;
+double ReadingMonitor::compare_compression(double position_rad, const ReadingContext& context) const noexcept {
+  if (!context.contact_known) return 0.0;
+  const double compression_rad = position_rad - context.contact_rad;
   const double force_N = force_N_ - context.force_zero_N;
-  const double lower_N = kForceLower * nominal_N(compression_rad - kContactUnknown_rad);
-  const double upper_N = kForceUpper * nominal_N(compression_rad + kContactUnknown_rad);
+  const double lower_N = kForceLower * bounds_.nominal_N(compression_rad - kContactUnknown_rad);
+  const double upper_N = kForceUpper * bounds_.nominal_N(compression_rad + kContactUnknown_rad);
   const double tolerance_N = tolerances_.force_N + kForceLag_samples * force_rate_N_;
-  compression_level_ = std::max(lower_N - force_N, force_N - upper_N) / tolerance_N;
+  return std::max(lower_N - force_N, force_N - upper_N) / tolerance_N;
 }
 
 bool ReadingMonitor::encoder_stands_still() const noexcept {
@@ -246,28 +245,26 @@ FaultCause ReadingMonitor::position_or_velocity() const noexcept {
   return by_position_.peak > by_velocity_.peak ? FaultCause::PositionReading : FaultCause::VelocityReading;
 }
 
-FaultCause ReadingMonitor::verdict() const noexcept {
+FaultCause ReadingMonitor::verdict(const Levels& levels) const noexcept {
   constexpr double kHint = 0.4;  // of a tolerance: no contradiction, but it tells which of two it is
-  if (torque_level_ >= 1.0) return FaultCause::TorqueReading;
-  if (position_level_ >= 1.0) return position_or_velocity();
-  const double by_velocity = by_velocity_.level, by_position = by_position_.level;
-  if (by_velocity >= 1.0 || by_position >= 1.0) {
-    if (torque_level_ > kHint) return FaultCause::TorqueReading;
-    if (by_position < kHint * by_velocity) return FaultCause::VelocityReading;
-    if (by_velocity < kHint * by_position) return FaultCause::PositionReading;
+  if (levels.torque >= 1.0) return FaultCause::TorqueReading;
+  if (levels.position >= 1.0) return position_or_velocity();
+  if (levels.by_velocity >= 1.0 || levels.by_position >= 1.0) {
+    if (levels.torque > kHint) return FaultCause::TorqueReading;
+    if (levels.by_position < kHint * levels.by_velocity) return FaultCause::VelocityReading;
+    if (levels.by_velocity < kHint * levels.by_position) return FaultCause::PositionReading;
     if (encoder_stands_still()) return FaultCause::TorqueAgainstMotion;
-    if (position_level_ > kHint) return position_or_velocity();
+    if (levels.position > kHint) return position_or_velocity();
     // Position and velocity agree and move: what resists is a force that the reading does not show.
     const bool resisted = by_velocity_.excess_rad_s.below > by_velocity_.excess_rad_s.above;
-    return force_level_ > kHint || (resisted && common_speed_rad_s_ > 1.0) ? FaultCause::ForceReading
+    return levels.force > kHint || (resisted && common_speed_rad_s_ > 1.0) ? FaultCause::ForceReading
                                                                            : FaultCause::TorqueAgainstMotion;
   }
-  if (velocity_stuck_) return FaultCause::VelocityReading;
-  const bool frozen_force = unanswered_N_ > kFrozenForce_N && force_repeats_.repeats() >= kFrozenRepeats;
-  if (frozen_force || force_stuck_) return FaultCause::ForceReading;
-  if (force_level_ >= 1.0 || compression_level_ >= 1.0) {
+  if (levels.velocity_stuck) return FaultCause::VelocityReading;
+  if (levels.force_stuck) return FaultCause::ForceReading;
+  if (levels.force >= 1.0 || levels.compression >= 1.0) {
     if (encoder_stands_still()) return FaultCause::TorqueAgainstMotion;
-    return position_level_ > kHint && by_position_.peak > by_velocity_.peak ? FaultCause::PositionReading
+    return levels.position > kHint && by_position_.peak > by_velocity_.peak ? FaultCause::PositionReading
                                                                             : FaultCause::ForceReading;
   }
   return FaultCause::None;
@@ -281,23 +278,25 @@ FaultCause ReadingMonitor::observe(const BrakeFeedback& feedback, const ReadingC
   }
   const double elapsed_s = static_cast<double>(samples) * kPeriod_s;
   const double step_rad = feedback.position_rad - previous_.position_rad;
-  push(torques_Nm_, feedback.torque_Nm);
-  compare_force(feedback, step_rad);
-  compare_compression(feedback, context);
-  compare_position(feedback, step_rad, elapsed_s);
-  const Drivers drivers = this->drivers();
-  compare_momentum(by_velocity_, drivers, feedback.velocity_rad_s, elapsed_s, context.stop_ahead);
-  compare_momentum(by_position_, drivers, step_rad / elapsed_s, elapsed_s, context.stop_ahead);
-  compare_torque(static_cast<double>(samples));
-  velocity_stuck_ = velocity_repeats_.repeats_too_often(feedback.velocity_rad_s, context.at_rest);
-  force_stuck_ = force_repeats_.repeats_too_often(feedback.force_N, context.at_rest);
+  torques_Nm_.push(feedback.torque_Nm);
+  Levels levels;
+  levels.force = compare_force(feedback.force_N, step_rad);
+  levels.compression = compare_compression(feedback.position_rad, context);
+  levels.position = compare_position(feedback.velocity_rad_s, step_rad, elapsed_s);
+  const Drivers drivers = this->drivers(elapsed_s, context.stop_ahead);
+  levels.by_velocity = compare_momentum(by_velocity_, drivers, feedback.velocity_rad_s);
+  levels.by_position = compare_momentum(by_position_, drivers, step_rad / elapsed_s);
+  levels.torque = compare_torque(feedback.torque_Nm, static_cast<double>(samples));
+  levels.velocity_stuck = velocity_repeats_.repeats_too_often(feedback.velocity_rad_s, context.at_rest);
+  levels.force_stuck = force_repeats_.repeats_too_often(feedback.force_N, context.at_rest) ||
+                       (unanswered_N_ > kFrozenForce_N && force_repeats_.repeats() >= kFrozenRepeats);
   position_repeats_.repeats_too_often(feedback.position_rad, false);
   previous_ = feedback;
   if (settling_ > 0) {
     --settling_;
     return FaultCause::None;
   }
-  return verdict();
+  return levels.contradict() ? verdict(levels) : FaultCause::None;
 }
 
 }  // namespace clampd::rt

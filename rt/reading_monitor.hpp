@@ -1,7 +1,10 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cstddef>
 #include <cstdint>
+#include <limits>
 
 #include "clampd/base/realtime.hpp"
 #include "clampd/base/result.hpp"
@@ -31,16 +34,26 @@ class RepeatWatch {
  public:
   /// `learn`: the brake is at rest and the reading believed. True: the reading stands still though its
   /// sensor's noise should move it.
-  CLAMPD_REALTIME bool repeats_too_often(double reading, bool learn) noexcept;
+  CLAMPD_REALTIME bool repeats_too_often(double reading, bool learn) noexcept {
+    repeats_ = reading == last_ ? std::min(repeats_ + 1, kMax) : 0;
+    last_ = reading;
+    if (repeats_ > tolerated_) return true;
+    if (learn) this->learn();
+    return false;
+  }
   /// How many samples before this one read exactly the same.
   CLAMPD_REALTIME int repeats() const noexcept { return repeats_; }
 
  private:
-  double last_ = 0.0;
-  bool has_last_ = false;
+  static constexpr int kMax = 1'000'000;
+
+  CLAMPD_REALTIME void learn() noexcept;
+
+  double last_ = std::numeric_limits<double>::quiet_NaN();  ///< equals no reading
   int repeats_ = 0;
-  int learned_ = 0;  ///< samples at rest
-  int longest_ = 0;  ///< row of equal readings at rest
+  int tolerated_ = kMax;  ///< any number, until the noise is known
+  int learned_ = 0;       ///< samples at rest
+  int longest_ = 0;       ///< row of equal readings at rest
 };
 
 /// What a check knows about the brake on the bench.
@@ -71,12 +84,12 @@ struct ReadingContext {
 class ReadingMonitor {
  public:
   ReadingMonitor(const ReadingTolerances& tolerances, const NominalDrive& drive) noexcept
-      : tolerances_(tolerances), drive_(drive) {}
+      : tolerances_(tolerances), bounds_(drive) {}
 
   /// Forgets everything but the commands: a check begins.
   CLAMPD_REALTIME void restart() noexcept;
   /// What was sent in a tick.
-  CLAMPD_REALTIME void commanded(double torque_Nm) noexcept;
+  CLAMPD_REALTIME void commanded(double torque_Nm) noexcept { commands_Nm_.push(torque_Nm); }
 
   /// The next sample. None, or the cause that names the reading.
   CLAMPD_REALTIME FaultCause observe(const BrakeFeedback& feedback, const ReadingContext& context) noexcept;
@@ -87,53 +100,87 @@ class ReadingMonitor {
     double upper = 0.0;
   };
 
+  /// What a brake of this product may be, from the nominal one.
+  struct Bounds {
+    explicit Bounds(const NominalDrive& drive) noexcept;
+    double slope_N_rad(double force_N) const noexcept;
+    double nominal_N(double compression_rad) const noexcept;
+    DryFriction friction(double force_N) const noexcept;
+
+    NominalDrive nominal;
+    NominalDrive sluggish;       ///< with the most friction
+    double light_per_kg_m2 = 0.0, heavy_per_kg_m2 = 0.0;  ///< one over the least and the largest inertia
+    double steep_rad = 0.0;      ///< compression to where the nominal stiffness is steep
+    double top_rad = 0.0;        ///< compression of the largest force on the nominal curve
+  };
+
+  /// The last readings, in no order.
+  template <std::size_t n>
+  class Last {
+   public:
+    void fill(double value) noexcept { values_.fill(value); }
+    void push(double value) noexcept {
+      values_[oldest_] = value;
+      oldest_ = oldest_ + 1 < n ? oldest_ + 1 : 0;
+    }
+    const std::array<double, n>& values() const noexcept { return values_; }
+
+   private:
+    std::array<double, n> values_{};
+    std::size_t oldest_ = 0;
+  };
+
   /// Accumulates how far a change lies outside of its bounds, to either side.
   struct Excess {
     double above = 0.0;
     double below = 0.0;
     void add(double change, const Interval& bounds, double keep) noexcept;
-    double larger() const noexcept { return above > below ? above : below; }
+    double larger() const noexcept { return std::max(above, below); }
   };
 
   /// One velocity, read or differentiated, against the torque.
   struct Momentum {
     double before_rad_s = 0.0;
     Excess excess_rad_s;
-    double level = 0.0;  ///< of the tolerance
-    double peak = 0.0;   ///< of level, forgotten slowly
+    double peak = 0.0;  ///< of its level, forgotten slowly
   };
 
-  /// What moves the motor besides friction, which depends on its speed.
+  /// What moves the motor in one sample.
   struct Drivers {
-    double force_N = 0.0;
-    Interval torque_Nm;  ///< of the drive less the load of the force
+    Interval torque_Nm;    ///< of the drive less the load of the force
+    DryFriction friction;  ///< the most it may be
+    double elapsed_s = 0.0;
+    bool stop_ahead = false;
+  };
+
+  /// How large each contradiction is, as a share of what is tolerated; 1 is one.
+  struct Levels {
+    double torque = 0.0, position = 0.0, by_velocity = 0.0, by_position = 0.0, force = 0.0, compression = 0.0;
+    bool velocity_stuck = false, force_stuck = false;
+    bool contradict() const noexcept;
   };
 
   static constexpr int kHistory = 4;
 
+  static Interval range(const Last<kHistory>& last) noexcept;
   void begin_at(const BrakeFeedback& feedback) noexcept;
-  Interval torque_range() const noexcept;
-  double friction_Nm(double speed_rad_s, double force_N) const noexcept;
-  double slope_N_rad(double force_N) const noexcept;
-  double nominal_N(double compression_rad) const noexcept;
-  void compare_torque(double samples) noexcept;
-  Drivers drivers() const noexcept;
-  void compare_momentum(Momentum& momentum, const Drivers& drivers, double velocity_rad_s, double elapsed_s,
-                        bool stop_ahead) noexcept;
-  void compare_position(const BrakeFeedback& feedback, double step_rad, double elapsed_s) noexcept;
-  void compare_force(const BrakeFeedback& feedback, double step_rad) noexcept;
-  void compare_compression(const BrakeFeedback& feedback, const ReadingContext& context) noexcept;
-  FaultCause verdict() const noexcept;
+  double compare_torque(double reading_Nm, double samples) noexcept;
+  Drivers drivers(double elapsed_s, bool stop_ahead) const noexcept;
+  double compare_momentum(Momentum& momentum, const Drivers& drivers, double velocity_rad_s) noexcept;
+  double compare_position(double velocity_rad_s, double step_rad, double elapsed_s) noexcept;
+  double compare_force(double reading_N, double step_rad) noexcept;
+  double compare_compression(double position_rad, const ReadingContext& context) const noexcept;
+  FaultCause verdict(const Levels& levels) const noexcept;
   FaultCause position_or_velocity() const noexcept;
   bool encoder_stands_still() const noexcept;
 
   ReadingTolerances tolerances_;
-  NominalDrive drive_;
+  Bounds bounds_;
 
-  std::array<double, kHistory> commands_Nm_{};
-  std::array<double, kHistory> torques_Nm_{};  ///< readings, newest last
-  std::array<double, 5> forces_N_{};           ///< readings, newest last
-  double force_N_ = 0.0;                       ///< their median
+  Last<kHistory> commands_Nm_;
+  Last<kHistory> torques_Nm_;
+  Last<5> forces_N_;
+  double force_N_ = 0.0;  ///< their median
 
   bool has_previous_ = false;
   BrakeFeedback previous_;
@@ -150,13 +197,6 @@ class ReadingMonitor {
   RepeatWatch velocity_repeats_;
   RepeatWatch force_repeats_;
   RepeatWatch position_repeats_;
-  bool velocity_stuck_ = false;
-  bool force_stuck_ = false;
-
-  double torque_level_ = 0.0;  ///< of the tolerances; 1 is a contradiction
-  double position_level_ = 0.0;
-  double force_level_ = 0.0;
-  double compression_level_ = 0.0;
 };
 
 }  // namespace clampd::rt
