@@ -76,11 +76,11 @@ CheckPhase CheckSequence::phase() const noexcept {
   return CheckPhase::None;
 }
 
-SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
-  SequenceOutput output;
+const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcept {
   if (plan_ == nullptr || done_) {
-    output.phase = CheckPhase::Done;
-    return output;
+    last_ = {};
+    last_.phase = CheckPhase::Done;
+    return last_;
   }
   const bool finite = std::isfinite(feedback.force_N) && std::isfinite(feedback.velocity_rad_s) &&
                       std::isfinite(feedback.torque_Nm) && std::isfinite(feedback.position_rad);
@@ -117,36 +117,39 @@ SequenceOutput CheckSequence::step(const BrakeFeedback& feedback) noexcept {
   if (contact_known_) stiffness_.learn(pair.position_rad, pair.force_N, observer_.velocity_rad_s());
   observer_.predict(plan_->drive, feedback.torque_Nm, std::max(0.0, force_N_), 1);
 
-  output.phase = phase();
-  output.repeat = repeat_;
+  last_.phase = phase();
+  last_.repeat = repeat_;
+  last_.trajectory_index = -1;
+  last_.force_reference_N = 0.0;
   if (stage_ == Stage::Trajectory) {
     const std::int64_t row = index_ - trajectory_start_;
     if (row < static_cast<std::int64_t>(plan_->reference.rows.size())) {
-      output.trajectory_index = static_cast<std::int32_t>(row);
-      output.force_reference_N = plan_->reference.rows[static_cast<std::size_t>(row)].force_N;
+      last_.trajectory_index = static_cast<std::int32_t>(row);
+      last_.force_reference_N = plan_->reference.rows[static_cast<std::size_t>(row)].force_N;
       compare_stiffness();
     }
   }
+  last_.fault = FaultCause::None;
+  last_.torque_Nm = 0.0;
   const bool bounded_in_time = stage_ != Stage::Trajectory && stage_ != Stage::Done;
   if (bounded_in_time && static_cast<double>(samples_in_stage()) * kPeriod_s > plan_->phase_timeout_s) {
-    output.fault = FaultCause::SequenceTimeout;
+    last_.fault = FaultCause::SequenceTimeout;
   } else {
     const double torque_Nm = decide(feedback);
     const double slope_N_rad =
         contact_known_ ? stiffness_.curve().slope_N_rad(observer_.position_rad() - stiffness_.contact_rad())
                        : 0.0;
     const ControlLimits limits{.torque_Nm = plan_->torque_limit_Nm};
-    output.torque_Nm =
+    last_.torque_Nm =
         limited_torque_Nm(torque_Nm, limits, plan_->drive, observer_.velocity_rad_s(), force_N_, slope_N_rad);
   }
-  output.context = {.at_rest = stage_ == Stage::Tare,
-                    .stop_ahead = stage_ == Stage::Open || stage_ == Stage::Rest || stage_ == Stage::Release,
-                    .contact_known = contact_known_,
-                    .contact_rad = proof_.origin_rad,
-                    .force_zero_N = force_offset_N_};
-  if (output.fault == FaultCause::None) output.fault = unproven_;
-  last_ = output;
-  return output;
+  last_.context = {.at_rest = stage_ == Stage::Tare,
+                   .stop_ahead = stage_ == Stage::Open || stage_ == Stage::Rest || stage_ == Stage::Release,
+                   .contact_known = contact_known_,
+                   .contact_rad = proof_.origin_rad,
+                   .force_zero_N = force_offset_N_};
+  if (last_.fault == FaultCause::None) last_.fault = unproven_;
+  return last_;
 }
 
 // Of the last three: a single spike is never taken for contact, nor learned.

@@ -61,7 +61,8 @@ class CheckSequence {
  public:
   /// `plan` must stay alive and unchanged until done() or abandon(); its reference must not be empty.
   CLAMPD_REALTIME void start(const CheckPlan* plan) noexcept;
-  CLAMPD_REALTIME SequenceOutput step(const BrakeFeedback& feedback) noexcept;
+  /// What it returns holds until the next step.
+  CLAMPD_REALTIME const SequenceOutput& step(const BrakeFeedback& feedback) noexcept;
   /// The runs so far are enough: a run that is under way is ended, another does not begin, the brake is
   /// released. Before the first run is over it means nothing.
   CLAMPD_REALTIME void conclude() noexcept { concluded_ = true; }

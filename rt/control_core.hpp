@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <utility>
 
 #include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
@@ -127,9 +128,7 @@ class HealthBoard {
  public:
   CLAMPD_REALTIME void store(const PortHealth& health) noexcept {
     link_.store(health.link, std::memory_order_relaxed);
-    for (std::size_t i = 0; i < kCounters.size(); ++i) {
-      counters_[i].store(health.*kCounters[i], std::memory_order_relaxed);
-    }
+    store(health, std::make_index_sequence<kCounters.size()>());
   }
 
   PortHealth load() const noexcept {
@@ -147,6 +146,12 @@ class HealthBoard {
       &PortHealth::crc_errors,        &PortHealth::counter_errors, &PortHealth::lost_samples,
       &PortHealth::implausible,       &PortHealth::error_frames,   &PortHealth::bus_off_events,
       &PortHealth::receive_overflows, &PortHealth::bus_bits};
+
+  // Without a loop: each place is then known to the compiler.
+  template <std::size_t... i>
+  void store(const PortHealth& health, std::index_sequence<i...>) noexcept {
+    (counters_[i].store(health.*kCounters[i], std::memory_order_relaxed), ...);
+  }
 
   std::atomic<LinkState> link_{LinkState::Up};
   std::array<std::atomic<std::uint64_t>, kCounters.size()> counters_{};
@@ -179,21 +184,14 @@ class BasicControlCore {
                             std::uint64_t skipped_periods) noexcept {
     const std::size_t received = std::min(port_.receive(feedback_, now_ns), feedback_.size());
     begin(now_ns, skipped_periods);
-    for (std::size_t i = 0; i < received; ++i) take(feedback_[i], logged_[i], now_ns, lateness_ns);
+    for (std::size_t i = 0; i < received; ++i) take(feedback_[i], recorder_.next(), now_ns, lateness_ns);
     supervisor_.end_samples();
     start_if_requested(now_ns);
 
     const TorqueCommand command = safe_command();
     const bool handed_over = port_.send(command, now_ns);
-    // Of several samples in one tick only the last is answered: the command before still acted after the
-    // others.
-    for (std::size_t i = 0; i < received; ++i) {
-      logged_[i].torque_command_Nm = i + 1 == received ? command.torque_Nm : sent_torque_Nm_;
-    }
-    sent_torque_Nm_ = command.torque_Nm;
     supervisor_.sent(handed_over, command.torque_Nm);
-
-    log(received);
+    log(received, command.torque_Nm);
     publish(now_ns, lateness_ns, skipped_periods);
   }
 
@@ -244,19 +242,12 @@ class BasicControlCore {
 
  private:
   void begin(std::int64_t now_ns, std::uint64_t skipped_periods) noexcept {
-    TickInputs inputs;
-    inputs.now_ns = now_ns;
-    inputs.skipped_periods = skipped_periods;
-    inputs.health = port_.health();
-    // While the loop itself stood still, the panel had no chance either: only its silence beside a running
-    // loop counts.
-    const std::int64_t missed_ns = static_cast<std::int64_t>(skipped_periods) * kPeriod_ns;
-    if (interlocks_ != nullptr) inputs.interlocks = interlocks_->read(now_ns - missed_ns);
-    if (requests_.emergency_stop.load(std::memory_order_acquire)) inputs.interlocks.emergency_stop = true;
-    const std::uint64_t stops = requests_.stops.load(std::memory_order_acquire);
-    inputs.operator_stop = stops != stops_taken_;
-    stops_taken_ = stops;
-    inputs.clear = requests_.clear.exchange(false, std::memory_order_acq_rel);
+    const TickInputs inputs{.now_ns = now_ns,
+                            .skipped_periods = skipped_periods,
+                            .health = port_.health(),
+                            .interlocks = interlocks(now_ns, skipped_periods),
+                            .operator_stop = take_stops(),
+                            .clear = take_clear()};
     // Before the clear is looked at: a plan from before the fault was cleared must not start after it.
     if (supervisor_.state() == StationState::Fault &&
         requests_.plan.load(std::memory_order_acquire) != nullptr)
@@ -267,21 +258,35 @@ class BasicControlCore {
     port_lost_samples_ = inputs.health.lost_samples;
   }
 
+  Interlocks interlocks(std::int64_t now_ns, std::uint64_t skipped_periods) const noexcept {
+    Interlocks interlocks;
+    // While the loop itself stood still, the panel had no chance either: only its silence beside a running
+    // loop counts.
+    const std::int64_t missed_ns = static_cast<std::int64_t>(skipped_periods) * kPeriod_ns;
+    if (interlocks_ != nullptr) interlocks = interlocks_->read(now_ns - missed_ns);
+    if (requests_.emergency_stop.load(std::memory_order_acquire)) interlocks.emergency_stop = true;
+    return interlocks;
+  }
+
+  bool take_stops() noexcept {
+    const std::uint64_t stops = requests_.stops.load(std::memory_order_acquire);
+    return std::exchange(stops_taken_, stops) != stops;
+  }
+
+  // Read before it is taken: nearly always there is nothing to take, and an exchange locks the bus.
+  bool take_clear() noexcept {
+    return requests_.clear.load(std::memory_order_acquire) &&
+           requests_.clear.exchange(false, std::memory_order_acq_rel);
+  }
+
   void take(const BrakeFeedback& feedback, Sample& sample, std::int64_t now_ns,
             std::int64_t lateness_ns) noexcept {
     const bool ran = supervisor_.sequence_runs();
     supervisor_.observe(feedback);
-    SequenceOutput output;
-    if (supervisor_.sequence_runs()) {
-      if (!ran) sequence_.start(plan_);
-      if (requests_.enough_runs_in.load(std::memory_order_relaxed) == finished_ + 1) sequence_.conclude();
-      output = sequence_.step(feedback);
-      torque_Nm_ = output.torque_Nm;
-      supervisor_.raise(output.fault);
-      if (!std::isfinite(output.torque_Nm)) supervisor_.raise(FaultCause::NonFinite);
-      supervisor_.follow(output.phase, sequence_.done(), output.context);
-      if (supervisor_.state() == StationState::Idle) end_check({});
-    }
+    if (supervisor_.sequence_runs())
+      answer(feedback, sample, !ran);
+    else
+      note(SequenceOutput{}, sample);
     sample.sample_index = feedback.sample_index;
     sample.brake_time_ns = feedback.brake_time_ns;
     sample.host_time_ns = now_ns;
@@ -289,13 +294,28 @@ class BasicControlCore {
     sample.velocity_rad_s = feedback.velocity_rad_s;
     sample.force_N = feedback.force_N;
     sample.position_rad = feedback.position_rad;
-    sample.force_reference_N = output.force_reference_N;
     sample.lateness_ns = static_cast<std::int32_t>(std::min<std::int64_t>(lateness_ns, INT32_MAX));
+    sample.state = supervisor_.state();
+    sample.fault = supervisor_.fault();
+  }
+
+  void answer(const BrakeFeedback& feedback, Sample& sample, bool first) noexcept {
+    if (first) sequence_.start(plan_);
+    if (requests_.enough_runs_in.load(std::memory_order_relaxed) == finished_ + 1) sequence_.conclude();
+    const SequenceOutput& output = sequence_.step(feedback);
+    torque_Nm_ = output.torque_Nm;
+    supervisor_.raise(output.fault);
+    if (!std::isfinite(output.torque_Nm)) supervisor_.raise(FaultCause::NonFinite);
+    supervisor_.follow(output.phase, sequence_.done(), output.context);
+    if (supervisor_.state() == StationState::Idle) end_check({});
+    note(output, sample);
+  }
+
+  static void note(const SequenceOutput& output, Sample& sample) noexcept {
+    sample.force_reference_N = output.force_reference_N;
     sample.trajectory_index = output.trajectory_index;
     sample.repeat = output.repeat;
-    sample.state = supervisor_.state();
     sample.phase = output.phase;
-    sample.fault = supervisor_.fault();
   }
 
   static StartRefusal refusal(const StartTicket& ticket, std::uint64_t stops, std::uint64_t fault_changes,
@@ -361,16 +381,20 @@ class BasicControlCore {
     return TorqueCommand{0.0, supervisor_.state() == StationState::Armed};
   }
 
-  void log(std::size_t received) noexcept {
-    for (std::size_t i = 0; i < received; ++i) {
-      recorder_.push(logged_[i]);
-      if (!ring_.push(logged_[i])) {
+  void log(std::size_t received, double torque_command_Nm) noexcept {
+    for (std::size_t left = received; left-- > 0;) {
+      Sample& sample = recorder_.newest(left);
+      // Of several samples in one tick only the last is answered: the command before still acted after the
+      // others.
+      sample.torque_command_Nm = left == 0 ? torque_command_Nm : sent_torque_Nm_;
+      if (!ring_.push(sample)) {
         bump(status_.ring_drops, 1);
         if (plan_ != nullptr) bump(status_.check_ring_drops, 1);
       }
     }
+    sent_torque_Nm_ = torque_command_Nm;
     if (received > 0) {
-      const Sample& last = logged_[received - 1];
+      const Sample& last = recorder_.newest(0);
       status_.force_N.store(last.force_N, std::memory_order_relaxed);
       status_.velocity_rad_s.store(last.velocity_rad_s, std::memory_order_relaxed);
       status_.torque_Nm.store(last.torque_Nm, std::memory_order_relaxed);
@@ -438,7 +462,6 @@ class BasicControlCore {
   std::uint64_t lost_samples_before_check_ = 0;
   bool captured_ = false;
   std::array<BrakeFeedback, kReceiveCapacity> feedback_{};
-  std::array<Sample, kReceiveCapacity> logged_{};
 
   SampleRing ring_;
   FlightRecorder recorder_;
@@ -449,5 +472,7 @@ class BasicControlCore {
 };
 
 using ControlCore = BasicControlCore<CheckSequence>;
+/// Compiled once, beside what it calls (rt/control_core.cpp).
+extern template class BasicControlCore<CheckSequence>;
 
 }  // namespace clampd::rt

@@ -17,13 +17,14 @@ class FlightRecorder {
  public:
   static constexpr std::size_t kCapacity = 512;
 
-  /// Loop only.
-  CLAMPD_REALTIME void push(const Sample& sample) noexcept {
-    live_[written_ % kCapacity] = sample;
-    ++written_;
+  /// Where the next sample is to be written. Loop only, as the next one.
+  CLAMPD_REALTIME Sample& next() noexcept { return live_[written_++ % kCapacity]; }
+  /// The sample that was written `before` samples ago; 0 is the last.
+  CLAMPD_REALTIME Sample& newest(std::size_t before) noexcept {
+    return live_[(written_ - 1 - before) % kCapacity];
   }
 
-  /// Copies what push() took, oldest first. False if a reader holds the copy: try again later. Loop only.
+  /// Copies what was written, oldest first. False if a reader holds the copy: try again later. Loop only.
   CLAMPD_REALTIME bool capture() noexcept {
     Holder expected = Holder::Nobody;
     if (!holder_.compare_exchange_strong(expected, Holder::Loop, std::memory_order_acquire)) return false;

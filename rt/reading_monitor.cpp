@@ -44,7 +44,7 @@ constexpr int kRepeatFactor = 5, kRepeatMargin = 5;
 
 /// Of five, so that two outliers beside each other are none. Without branches.
 double median_of(const std::array<double, 5>& values) noexcept {
-  const auto [a, b, c, d, e] = values;
+  const auto& [a, b, c, d, e] = values;
   const double lower = std::max(std::min(a, b), std::min(c, d));
   const double upper = std::min(std::max(a, b), std::max(c, d));
   return std::max(std::min(lower, upper), std::min(std::max(lower, upper), e));
@@ -133,7 +133,7 @@ void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {
 }
 
 ReadingMonitor::Interval ReadingMonitor::range(const Last<kHistory>& last) noexcept {
-  const auto [a, b, c, d] = last.values();
+  const auto& [a, b, c, d] = last.values();
   return {std::min(std::min(a, b), std::min(c, d)), std::max(std::max(a, b), std::max(c, d))};
 }
 

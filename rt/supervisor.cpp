@@ -1,24 +1,19 @@
 #include "rt/supervisor.hpp"
 
 #include <cmath>
+#include <utility>
 
 namespace clampd::rt {
-namespace {
 
-// A port that was opened again starts its counts at zero: that is no event.
-std::uint64_t increase(std::uint64_t now, std::uint64_t before) noexcept {
-  return now > before ? now - before : 0;
-}
-
-}  // namespace
-
-bool Supervisor::EventBudget::exceeded_by(std::uint64_t events, std::int64_t now_ns, std::int64_t window_ns,
-                                          std::uint64_t tolerated) noexcept {
+std::uint64_t Supervisor::EventBudget::count(std::uint64_t total, std::int64_t now_ns,
+                                             std::int64_t window_ns) noexcept {
+  const std::uint64_t before = std::exchange(total_, total);
+  // A port that was opened again starts its counts at zero: that is no event.
+  if (total < before) return 0;
   if (count_ > 0 && now_ns - first_ns_ > window_ns) count_ = 0;
-  if (events == 0) return false;
   if (count_ == 0) first_ns_ = now_ns;
-  count_ += events;
-  return count_ > tolerated;
+  count_ += total - before;
+  return count_;
 }
 
 void Supervisor::enter_init() noexcept {
@@ -30,8 +25,7 @@ void Supervisor::enter_init() noexcept {
   good_samples_.restart();
 }
 
-void Supervisor::raise(FaultCause cause) noexcept {
-  if (cause == FaultCause::None) return;
+void Supervisor::judge(FaultCause cause) noexcept {
   const FaultRule& rule = (*policy_)[static_cast<std::size_t>(cause)];
   // An open fixture, for one, may stand as long as it likes between checks.
   if (rule.scope == FaultScope::Check && !in_check()) return;
@@ -74,7 +68,10 @@ void Supervisor::begin_tick(const TickInputs& inputs) noexcept {
   now_ns_ = inputs.now_ns;
   if (!started_) {
     started_ = true;
-    last_health_ = inputs.health;
+    bus_off_events_ = inputs.health.bus_off_events;
+    corrupt_.begin_at(inputs.health.crc_errors);
+    frozen_.begin_at(inputs.health.counter_errors);
+    implausible_.begin_at(inputs.health.implausible);
     last_sample_ns_ = now_ns_;
     enter_init();
   }
@@ -96,24 +93,16 @@ void Supervisor::begin_tick(const TickInputs& inputs) noexcept {
 }
 
 void Supervisor::check_link(const PortHealth& health) noexcept {
-  if (health.link == LinkState::BusOff || increase(health.bus_off_events, last_health_.bus_off_events) > 0) {
-    raise(FaultCause::BusOff);
-  }
+  if (health.link == LinkState::BusOff || health.bus_off_events > bus_off_events_) raise(FaultCause::BusOff);
+  bus_off_events_ = health.bus_off_events;
   if (health.link == LinkState::Down || health.link == LinkState::Gone) raise(FaultCause::LinkDown);
   const std::int64_t window_ns = settings_.event_window_ns;
-  if (corrupt_.exceeded_by(increase(health.crc_errors, last_health_.crc_errors), now_ns_, window_ns,
-                           settings_.corrupt_tolerated)) {
+  if (corrupt_.exceeded_by(health.crc_errors, now_ns_, window_ns, settings_.corrupt_tolerated))
     raise(FaultCause::FeedbackCorrupt);
-  }
-  if (frozen_.exceeded_by(increase(health.counter_errors, last_health_.counter_errors), now_ns_, window_ns,
-                          settings_.frozen_tolerated)) {
+  if (frozen_.exceeded_by(health.counter_errors, now_ns_, window_ns, settings_.frozen_tolerated))
     raise(FaultCause::FeedbackFrozen);
-  }
-  if (implausible_.exceeded_by(increase(health.implausible, last_health_.implausible), now_ns_, window_ns,
-                               settings_.implausible_tolerated)) {
+  if (implausible_.exceeded_by(health.implausible, now_ns_, window_ns, settings_.implausible_tolerated))
     raise(FaultCause::FeedbackImplausible);
-  }
-  last_health_ = health;
 }
 
 void Supervisor::observe(const BrakeFeedback& feedback) noexcept {

@@ -110,7 +110,9 @@ class Supervisor {
   /// Starts a check. False, and nothing happens, unless IDLE.
   CLAMPD_REALTIME bool arm() noexcept;
   /// Reports a cause. What it does depends on the policy and the state.
-  CLAMPD_REALTIME void raise(FaultCause cause) noexcept;
+  CLAMPD_REALTIME void raise(FaultCause cause) noexcept {
+    if (cause != FaultCause::None) judge(cause);
+  }
 
   CLAMPD_REALTIME StationState state() const noexcept { return state_; }
   CLAMPD_REALTIME FaultCause fault() const noexcept { return fault_; }
@@ -125,17 +127,24 @@ class Supervisor {
   }
 
  private:
-  /// Counts events and forgets them a window after the first.
+  /// Watches a cumulative count of events, and forgets them a window after the first.
   class EventBudget {
    public:
-    bool exceeded_by(std::uint64_t events, std::int64_t now_ns, std::int64_t window_ns,
-                     std::uint64_t tolerated) noexcept;
+    void begin_at(std::uint64_t total) noexcept { total_ = total; }
+    bool exceeded_by(std::uint64_t total, std::int64_t now_ns, std::int64_t window_ns,
+                     std::uint64_t tolerated) noexcept {
+      return total != total_ && count(total, now_ns, window_ns) > tolerated;
+    }
 
    private:
+    std::uint64_t count(std::uint64_t total, std::int64_t now_ns, std::int64_t window_ns) noexcept;
+
+    std::uint64_t total_ = 0;
     std::int64_t first_ns_ = 0;
     std::uint64_t count_ = 0;
   };
 
+  void judge(FaultCause cause) noexcept;
   void enter_init() noexcept;
   void latch(FaultCause cause) noexcept;
   void check_link(const PortHealth& health) noexcept;
@@ -163,7 +172,7 @@ class Supervisor {
   bool init_saw_sample_ = false;
   GoodRow good_samples_;
 
-  PortHealth last_health_;
+  std::uint64_t bus_off_events_ = 0;
   EventBudget corrupt_;
   EventBudget frozen_;
   EventBudget implausible_;
