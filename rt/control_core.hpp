@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <type_traits>
 #include <utility>
 
 #include "clampd/base/clock.hpp"
@@ -141,16 +142,18 @@ class HealthBoard {
   }
 
  private:
+  using Counter = std::uint64_t PortHealth::*;
   static constexpr std::array kCounters{
       &PortHealth::frames_received,   &PortHealth::frames_sent,    &PortHealth::send_failures,
       &PortHealth::crc_errors,        &PortHealth::counter_errors, &PortHealth::lost_samples,
       &PortHealth::implausible,       &PortHealth::error_frames,   &PortHealth::bus_off_events,
       &PortHealth::receive_overflows, &PortHealth::bus_bits};
 
-  // Without a loop: each place is then known to the compiler.
+  // Without a loop, so that each place is known to the compiler.
   template <std::size_t... i>
   void store(const PortHealth& health, std::index_sequence<i...>) noexcept {
-    (counters_[i].store(health.*kCounters[i], std::memory_order_relaxed), ...);
+    (counters_[i].store(health.*std::integral_constant<Counter, kCounters[i]>::value, std::memory_order_relaxed),
+     ...);
   }
 
   std::atomic<LinkState> link_{LinkState::Up};
@@ -242,12 +245,17 @@ class BasicControlCore {
 
  private:
   void begin(std::int64_t now_ns, std::uint64_t skipped_periods) noexcept {
-    const TickInputs inputs{.now_ns = now_ns,
-                            .skipped_periods = skipped_periods,
-                            .health = port_.health(),
-                            .interlocks = interlocks(now_ns, skipped_periods),
-                            .operator_stop = take_stops(),
-                            .clear = take_clear()};
+    TickInputs inputs{.now_ns = now_ns,
+                      .skipped_periods = skipped_periods,
+                      .health = port_.health(),
+                      .interlocks = {},
+                      .operator_stop = take_stops(),
+                      .clear = take_clear()};
+    // While the loop itself stood still, the panel had no chance either: only its silence beside a running
+    // loop counts.
+    const std::int64_t missed_ns = static_cast<std::int64_t>(skipped_periods) * kPeriod_ns;
+    if (interlocks_ != nullptr) inputs.interlocks = interlocks_->read(now_ns - missed_ns);
+    if (requests_.emergency_stop.load(std::memory_order_acquire)) inputs.interlocks.emergency_stop = true;
     // Before the clear is looked at: a plan from before the fault was cleared must not start after it.
     if (supervisor_.state() == StationState::Fault &&
         requests_.plan.load(std::memory_order_acquire) != nullptr)
@@ -256,16 +264,6 @@ class BasicControlCore {
     if (plan_ != nullptr && now_ns - armed_ns_ > deadline_ns_) supervisor_.raise(FaultCause::DeadlinePassed);
     health_.store(inputs.health);
     port_lost_samples_ = inputs.health.lost_samples;
-  }
-
-  Interlocks interlocks(std::int64_t now_ns, std::uint64_t skipped_periods) const noexcept {
-    Interlocks interlocks;
-    // While the loop itself stood still, the panel had no chance either: only its silence beside a running
-    // loop counts.
-    const std::int64_t missed_ns = static_cast<std::int64_t>(skipped_periods) * kPeriod_ns;
-    if (interlocks_ != nullptr) interlocks = interlocks_->read(now_ns - missed_ns);
-    if (requests_.emergency_stop.load(std::memory_order_acquire)) interlocks.emergency_stop = true;
-    return interlocks;
   }
 
   bool take_stops() noexcept {

@@ -61,16 +61,17 @@ void RepeatWatch::learn() noexcept {
 
 ReadingMonitor::Bounds::Bounds(const NominalDrive& drive) noexcept
     : nominal(drive),
-      sluggish(drive),
+      load_friction_Nm_N(kDryFriction * drive.load_friction_Nm_N),
+      viscous_Nm_s_rad(kViscousFriction * drive.viscous_Nm_s_rad),
       light_per_kg_m2(1.0 / (kInertiaLower * drive.inertia_kg_m2)),
       heavy_per_kg_m2(1.0 / (kInertiaUpper * drive.inertia_kg_m2)),
       steep_rad(1e3),
       top_rad(std::numeric_limits<double>::infinity()) {
+  NominalDrive sluggish = drive;
   sluggish.coulomb_Nm *= kDryFriction;
   sluggish.static_Nm *= kDryFriction;
-  sluggish.load_friction_Nm_N *= kDryFriction;
   sluggish.stribeck_rad_s *= kStribeckWidth;
-  sluggish.viscous_Nm_s_rad *= kViscousFriction;
+  unloaded = sluggish.dry_friction(0.0);
   if (drive.cubic_N_rad3 >= 0.0) return;
   // A cubic with k1 < 0 turns over; its steepest place is half way, and it is steep enough to a little beyond.
   // Past its top nothing is known but that the force is there.
@@ -95,11 +96,10 @@ double ReadingMonitor::Bounds::nominal_N(double compression_rad) const noexcept 
   return nominal.stiffness().force_N(std::min(compression_rad, top_rad));
 }
 
-/// The most that friction may be.
+/// The most that friction may be at a force, which is not negative.
 DryFriction ReadingMonitor::Bounds::friction(double force_N) const noexcept {
-  DryFriction friction = sluggish.dry_friction(force_N);
-  friction.coulomb_Nm += kCoulombLoad_Nm_N * force_N;
-  return friction;
+  return {unloaded.coulomb_Nm + kCoulombLoad_Nm_N * force_N,
+          unloaded.beyond_coulomb_Nm + load_friction_Nm_N * force_N, unloaded.stribeck_s2_rad2};
 }
 
 void ReadingMonitor::Excess::add(double change, const Interval& bounds, double keep) noexcept {
@@ -173,7 +173,7 @@ double ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers& drive
   const bool backward = std::max(velocity_rad_s, before_rad_s) < -kSurelyMoving_rad_s;
 
   const double friction_Nm =
-      drivers.friction.torque_Nm(slower_rad_s) + bounds_.sluggish.viscous_Nm_s_rad * faster_rad_s;
+      drivers.friction.torque_Nm(slower_rad_s) + bounds_.viscous_Nm_s_rad * faster_rad_s;
   const double most_Nm = drivers.torque_Nm.upper + (forward ? 0.0 : friction_Nm);
   const double least_Nm = drivers.torque_Nm.lower - (backward ? 0.0 : friction_Nm);
   const double light = drivers.elapsed_s * bounds_.light_per_kg_m2,

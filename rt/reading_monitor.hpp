@@ -108,10 +108,11 @@ class ReadingMonitor {
     DryFriction friction(double force_N) const noexcept;
 
     NominalDrive nominal;
-    NominalDrive sluggish;       ///< with the most friction
+    DryFriction unloaded;  ///< the most friction without force
+    double load_friction_Nm_N = 0.0, viscous_Nm_s_rad = 0.0;
     double light_per_kg_m2 = 0.0, heavy_per_kg_m2 = 0.0;  ///< one over the least and the largest inertia
-    double steep_rad = 0.0;      ///< compression to where the nominal stiffness is steep
-    double top_rad = 0.0;        ///< compression of the largest force on the nominal curve
+    double steep_rad = 0.0;  ///< compression to where the nominal stiffness is steep
+    double top_rad = 0.0;    ///< compression of the largest force on the nominal curve
   };
 
   /// The last readings, in no order.

@@ -43,15 +43,18 @@ void StiffnessEstimate::learn(double position_rad, double force_N, double veloci
   const double slope_N_rad = known.slope_N_rad(u);
   const double slope[4] = {quadratic_nominal_ * u * u, cubic_nominal_ * u * u * u, -slope_N_rad,
                            -slope_N_rad * velocity_rad_s};
-  double product[4];
+  double product[4] = {};
+  for (int i = 0; i < 4; ++i) {
+    product[i] += covariance_[i][i] * slope[i];
+    for (int j = i + 1; j < 4; ++j) {
+      product[i] += covariance_[i][j] * slope[j];
+      product[j] += covariance_[i][j] * slope[i];
+    }
+  }
   const double expected_N = known.force_N(u);
   const double model_N = kModelError * expected_N;
   double total = kForceVariance_N2 + model_N * model_N;
-  for (int i = 0; i < 4; ++i) {
-    product[i] = 0.0;
-    for (int j = 0; j < 4; ++j) product[i] += covariance_[i][j] * slope[j];
-    total += slope[i] * product[i];
-  }
+  for (int i = 0; i < 4; ++i) total += slope[i] * product[i];
   // A spike shall not move much; but what is wrong for long must be learned, so nothing is refused.
   const double reach_N = kReach_sd * std::sqrt(total);
   const double innovation_N = std::clamp(force_N - expected_N, -reach_N, reach_N);
@@ -61,8 +64,10 @@ void StiffnessEstimate::learn(double position_rad, double force_N, double veloci
   delay_s_ = std::clamp(delay_s_ + product[3] * step, -kDelayLimit_s, kDelayLimit_s);
   contact_rad_ = std::clamp(contact_rad_ + product[2] * step, found_rad_ - kContactReach_rad,
                             found_rad_ + kContactReach_rad);
-  for (int i = 0; i < 4; ++i)
-    for (int j = 0; j < 4; ++j) covariance_[i][j] -= product[i] * product[j] / total;
+  for (int i = 0; i < 4; ++i) {
+    const double gain = product[i] / total;
+    for (int j = i; j < 4; ++j) covariance_[i][j] -= gain * product[j];
+  }
   covariance_[0][0] = std::min(covariance_[0][0] + kScaleStepVariance, kQuadraticStartVariance);
   covariance_[1][1] = std::min(covariance_[1][1] + kScaleStepVariance, kCubicStartVariance);
   covariance_[2][2] = std::min(covariance_[2][2] + kContactStepVariance_rad2, kContactStartVariance_rad2);
