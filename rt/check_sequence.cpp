@@ -53,7 +53,7 @@ void CheckSequence::enter(Stage stage) noexcept {
   still_samples_ = 0;
 }
 
-CheckPhase CheckSequence::phase() const noexcept {
+inline CheckPhase CheckSequence::phase() const noexcept {
   switch (stage_) {
     case Stage::Open:
     case Stage::Rest:
@@ -153,7 +153,7 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
 }
 
 // Of the last three: a single spike is never taken for contact, nor learned.
-const CheckSequence::ForcePair& CheckSequence::median_pair(const ForcePair& newest) noexcept {
+inline const CheckSequence::ForcePair& CheckSequence::median_pair(const ForcePair& newest) noexcept {
   pairs_ = {pairs_[1], pairs_[2], newest};
   const auto between = [this](std::size_t i, std::size_t a, std::size_t b) {
     return std::min(pairs_[a].force_N, pairs_[b].force_N) <= pairs_[i].force_N &&
@@ -163,7 +163,7 @@ const CheckSequence::ForcePair& CheckSequence::median_pair(const ForcePair& newe
 }
 
 /// Adds to what this run's force is, as a share of what the nominal brake would have at the same compression.
-void CheckSequence::compare_stiffness() noexcept {
+inline void CheckSequence::compare_stiffness() noexcept {
   const double u = observer_.position_rad() - proof_.origin_rad;
   if (u <= 0.0) return;
   const double nominal_N = plan_->drive.stiffness().force_N(u);
@@ -185,11 +185,11 @@ void CheckSequence::judge_stiffness() noexcept {
 }
 
 /// On the way to a run that is not needed any more.
-bool CheckSequence::is_concluded_between_runs() const noexcept {
+inline bool CheckSequence::is_concluded_between_runs() const noexcept {
   return concluded_ && repeat_ > 0 && (stage_ == Stage::Return || stage_ == Stage::Settle);
 }
 
-double CheckSequence::decide(const BrakeFeedback& feedback) noexcept {
+inline double CheckSequence::decide(const BrakeFeedback& feedback) noexcept {
   if (is_concluded_between_runs()) {
     --repeat_;  // the last run that there was
     enter(Stage::Release);
@@ -339,7 +339,7 @@ double CheckSequence::settle() noexcept {
   return track();
 }
 
-double CheckSequence::track() noexcept {
+inline double CheckSequence::track() noexcept {
   const auto& rows = plan_->reference.rows;
   const auto next = static_cast<std::size_t>(index_ + 1 - trajectory_start_);  // the row this command acts in
   if (next >= rows.size()) {

@@ -80,7 +80,7 @@ ReadingMonitor::Bounds::Bounds(const NominalDrive& drive) noexcept
 }
 
 /// Of the nominal brake where it has this force.
-double ReadingMonitor::Bounds::slope_N_rad(double force_N) const noexcept {
+inline double ReadingMonitor::Bounds::slope_N_rad(double force_N) const noexcept {
   if (force_N <= 0.0) return 0.0;
   const double cubic = nominal.cubic_N_rad3, quadratic = nominal.quadratic_N_rad2;
   double u = std::sqrt(force_N / quadratic);
@@ -92,22 +92,22 @@ double ReadingMonitor::Bounds::slope_N_rad(double force_N) const noexcept {
   return nominal.stiffness().slope_N_rad(std::min(u, steep_rad));
 }
 
-double ReadingMonitor::Bounds::nominal_N(double compression_rad) const noexcept {
+inline double ReadingMonitor::Bounds::nominal_N(double compression_rad) const noexcept {
   return nominal.stiffness().force_N(std::min(compression_rad, top_rad));
 }
 
 /// The most that friction may be at a force, which is not negative.
-DryFriction ReadingMonitor::Bounds::friction(double force_N) const noexcept {
+inline DryFriction ReadingMonitor::Bounds::friction(double force_N) const noexcept {
   return {unloaded.coulomb_Nm + kCoulombLoad_Nm_N * force_N,
           unloaded.beyond_coulomb_Nm + load_friction_Nm_N * force_N, unloaded.stribeck_s2_rad2};
 }
 
-void ReadingMonitor::Excess::add(double change, const Interval& bounds, double keep) noexcept {
+inline void ReadingMonitor::Excess::add(double change, const Interval& bounds, double keep) noexcept {
   above = std::max(0.0, keep * above + change - bounds.upper);
   below = std::max(0.0, keep * below - change + bounds.lower);
 }
 
-bool ReadingMonitor::Levels::contradict() const noexcept {
+inline bool ReadingMonitor::Levels::contradict() const noexcept {
   const double largest = std::max(std::max(std::max(torque, position), std::max(by_velocity, by_position)),
                                   std::max(force, compression));
   return largest >= 1.0 || velocity_stuck || force_stuck;
@@ -132,12 +132,12 @@ void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {
   has_previous_ = true;
 }
 
-ReadingMonitor::Interval ReadingMonitor::range(const Last<kHistory>& last) noexcept {
+inline ReadingMonitor::Interval ReadingMonitor::range(const Last<kHistory>& last) noexcept {
   const auto& [a, b, c, d] = last.values();
   return {std::min(std::min(a, b), std::min(c, d)), std::max(std::max(a, b), std::max(c, d))};
 }
 
-double ReadingMonitor::compare_torque(double reading_Nm, double samples) noexcept {
+inline double ReadingMonitor::compare_torque(double reading_Nm, double samples) noexcept {
   const Interval commands_Nm = range(commands_Nm_);
   const double beyond_Nm =
       std::max(0.0, std::max(commands_Nm.lower - reading_Nm, reading_Nm - commands_Nm.upper));
@@ -149,7 +149,7 @@ double ReadingMonitor::compare_torque(double reading_Nm, double samples) noexcep
   return torque_excess_Nm_ / (kTorqueSamples * tolerances_.torque_Nm);
 }
 
-ReadingMonitor::Drivers ReadingMonitor::drivers(double elapsed_s, bool stop_ahead) const noexcept {
+inline ReadingMonitor::Drivers ReadingMonitor::drivers(double elapsed_s, bool stop_ahead) const noexcept {
   const double force_N = std::max(0.0, force_N_);
   const Interval torque_Nm = range(torques_Nm_);
   const double unknown_Nm = kTorqueUnknown_Nm + kTorqueUnknownShare * std::max(std::abs(torque_Nm.lower),
@@ -163,7 +163,7 @@ ReadingMonitor::Drivers ReadingMonitor::drivers(double elapsed_s, bool stop_ahea
           stop_ahead};
 }
 
-double ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers& drivers,
+inline double ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers& drivers,
                                         double velocity_rad_s) noexcept {
   const double before_rad_s = momentum.before_rad_s;
   momentum.before_rad_s = velocity_rad_s;
@@ -189,7 +189,7 @@ double ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers& drive
   return level;
 }
 
-double ReadingMonitor::compare_position(double velocity_rad_s, double step_rad, double elapsed_s) noexcept {
+inline double ReadingMonitor::compare_position(double velocity_rad_s, double step_rad, double elapsed_s) noexcept {
   const double mean_rad_s = 0.5 * (velocity_rad_s + previous_.velocity_rad_s);
   position_excess_rad_ = kForgetFast * position_excess_rad_ + step_rad - mean_rad_s * elapsed_s;
   const double both_rad_s = std::min(std::abs(mean_rad_s), std::abs(step_rad / elapsed_s));
@@ -198,7 +198,7 @@ double ReadingMonitor::compare_position(double velocity_rad_s, double step_rad, 
          (tolerances_.position_rad + kVelocityLag_samples * kPeriod_s * common_speed_rad_s_);
 }
 
-double ReadingMonitor::compare_force(double reading_N, double step_rad) noexcept {
+inline double ReadingMonitor::compare_force(double reading_N, double step_rad) noexcept {
   const double before_N = force_N_;
   forces_N_.push(reading_N);
   force_N_ = median_of(forces_N_.values());
@@ -223,7 +223,7 @@ double ReadingMonitor::compare_force(double reading_N, double step_rad) noexcept
                   jump_N / (kForceJump * tolerance_N));
 }
 
-double ReadingMonitor::compare_compression(double position_rad, const ReadingContext& context) const noexcept {
+inline double ReadingMonitor::compare_compression(double position_rad, const ReadingContext& context) const noexcept {
   if (!context.contact_known) return 0.0;
   const double compression_rad = position_rad - context.contact_rad;
   const double force_N = force_N_ - context.force_zero_N;

@@ -92,7 +92,7 @@ void Supervisor::begin_tick(const TickInputs& inputs) noexcept {
   if (inputs.clear && clearable()) enter_init();
 }
 
-void Supervisor::check_link(const PortHealth& health) noexcept {
+inline void Supervisor::check_link(const PortHealth& health) noexcept {
   if (health.link == LinkState::BusOff || health.bus_off_events > bus_off_events_) raise(FaultCause::BusOff);
   bus_off_events_ = health.bus_off_events;
   if (health.link == LinkState::Down || health.link == LinkState::Gone) raise(FaultCause::LinkDown);
@@ -124,7 +124,7 @@ void Supervisor::observe(const BrakeFeedback& feedback) noexcept {
   advance(feedback);
 }
 
-bool Supervisor::plausible(const BrakeFeedback& feedback) const noexcept {
+inline bool Supervisor::plausible(const BrakeFeedback& feedback) const noexcept {
   // Written so that NaN fails.
   return std::abs(feedback.force_N) <= settings_.plausible_force_N &&
          std::abs(feedback.velocity_rad_s) <= settings_.plausible_velocity_rad_s &&
@@ -132,7 +132,7 @@ bool Supervisor::plausible(const BrakeFeedback& feedback) const noexcept {
          std::isfinite(feedback.position_rad);
 }
 
-void Supervisor::check_stream(const BrakeFeedback& feedback) noexcept {
+inline void Supervisor::check_stream(const BrakeFeedback& feedback) noexcept {
   if (!has_previous_) return;
   const std::int64_t samples = feedback.sample_index - previous_.sample_index;
   const std::int64_t elapsed_ns = feedback.brake_time_ns - previous_.brake_time_ns;
@@ -154,12 +154,12 @@ void Supervisor::check_stream(const BrakeFeedback& feedback) noexcept {
   }
 }
 
-void Supervisor::check_drive(const BrakeFeedback& feedback) noexcept {
+inline void Supervisor::check_drive(const BrakeFeedback& feedback) noexcept {
   const bool drive_dropped_out = sequence_runs() && settings_.drive_reports_live && !feedback.drive_enabled;
   if (feedback.brake_fault || feedback.watchdog_tripped || drive_dropped_out) raise(FaultCause::BrakeFault);
 }
 
-void Supervisor::check_limits(const BrakeFeedback& feedback) noexcept {
+inline void Supervisor::check_limits(const BrakeFeedback& feedback) noexcept {
   const bool closing =
       last_torque_sent_Nm_ > 0.0 || feedback.velocity_rad_s > settings_.opening_velocity_rad_s;
   if (feedback.force_N > (closing ? settings_.force_limit_N : settings_.force_ceiling_N))
@@ -177,12 +177,12 @@ void Supervisor::check_limits(const BrakeFeedback& feedback) noexcept {
   }
 }
 
-void Supervisor::check_readings(const BrakeFeedback& feedback) noexcept {
+inline void Supervisor::check_readings(const BrakeFeedback& feedback) noexcept {
   if (!in_check()) return;
   raise(monitor_.observe(feedback, context_));
 }
 
-void Supervisor::advance(const BrakeFeedback& feedback) noexcept {
+inline void Supervisor::advance(const BrakeFeedback& feedback) noexcept {
   switch (state_) {
     case StationState::Init:
       if (good_samples_.count() >= settings_.good_samples_to_idle) {
