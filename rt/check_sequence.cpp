@@ -82,8 +82,9 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
     last_.phase = CheckPhase::Done;
     return last_;
   }
-  const bool finite = std::isfinite(feedback.force_N) && std::isfinite(feedback.velocity_rad_s) &&
-                      std::isfinite(feedback.torque_Nm) && std::isfinite(feedback.position_rad);
+  // Of numbers that are no readings, the sum is none either.
+  const bool finite = std::isfinite(feedback.force_N + feedback.velocity_rad_s + feedback.torque_Nm +
+                                    feedback.position_rad);
   if (started_ && feedback.sample_index == index_) return last_;
   if (!finite || (started_ && feedback.sample_index < index_)) {
     last_.torque_Nm = 0.0;

@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <type_traits>
 #include <utility>
 
@@ -187,14 +188,18 @@ class BasicControlCore {
                             std::uint64_t skipped_periods) noexcept {
     const std::size_t received = std::min(port_.receive(feedback_, now_ns), feedback_.size());
     begin(now_ns, skipped_periods);
-    for (std::size_t i = 0; i < received; ++i) take(feedback_[i], recorder_.next(), now_ns, lateness_ns);
+    std::array<Sample*, kReceiveCapacity> samples;
+    for (std::size_t i = 0; i < received; ++i) {
+      samples[i] = &recorder_.next();
+      take(feedback_[i], *samples[i], now_ns, lateness_ns);
+    }
     supervisor_.end_samples();
     start_if_requested(now_ns);
 
     const TorqueCommand command = safe_command();
     const bool handed_over = port_.send(command, now_ns);
     supervisor_.sent(handed_over, command.torque_Nm);
-    log(received, command.torque_Nm);
+    log({samples.data(), received}, command.torque_Nm);
     publish(now_ns, lateness_ns, skipped_periods);
   }
 
@@ -379,20 +384,19 @@ class BasicControlCore {
     return TorqueCommand{0.0, supervisor_.state() == StationState::Armed};
   }
 
-  void log(std::size_t received, double torque_command_Nm) noexcept {
-    for (std::size_t left = received; left-- > 0;) {
-      Sample& sample = recorder_.newest(left);
+  void log(std::span<Sample* const> samples, double torque_command_Nm) noexcept {
+    for (Sample* sample : samples) {
       // Of several samples in one tick only the last is answered: the command before still acted after the
       // others.
-      sample.torque_command_Nm = left == 0 ? torque_command_Nm : sent_torque_Nm_;
-      if (!ring_.push(sample)) {
+      sample->torque_command_Nm = sample == samples.back() ? torque_command_Nm : sent_torque_Nm_;
+      if (!ring_.push(*sample)) {
         bump(status_.ring_drops, 1);
         if (plan_ != nullptr) bump(status_.check_ring_drops, 1);
       }
     }
     sent_torque_Nm_ = torque_command_Nm;
-    if (received > 0) {
-      const Sample& last = recorder_.newest(0);
+    if (!samples.empty()) {
+      const Sample& last = *samples.back();
       status_.force_N.store(last.force_N, std::memory_order_relaxed);
       status_.velocity_rad_s.store(last.velocity_rad_s, std::memory_order_relaxed);
       status_.torque_Nm.store(last.torque_Nm, std::memory_order_relaxed);

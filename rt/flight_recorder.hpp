@@ -17,12 +17,8 @@ class FlightRecorder {
  public:
   static constexpr std::size_t kCapacity = 512;
 
-  /// Where the next sample is to be written. Loop only, as the next one.
+  /// Where the next sample is to be written. Loop only.
   CLAMPD_REALTIME Sample& next() noexcept { return live_[written_++ % kCapacity]; }
-  /// The sample that was written `before` samples ago; 0 is the last.
-  CLAMPD_REALTIME Sample& newest(std::size_t before) noexcept {
-    return live_[(written_ - 1 - before) % kCapacity];
-  }
 
   /// Copies what was written, oldest first. False if a reader holds the copy: try again later. Loop only.
   CLAMPD_REALTIME bool capture() noexcept {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 
 #include "clampd/base/clock.hpp"
 
@@ -19,6 +20,7 @@ constexpr double kTorqueUnknown_Nm = 0.1, kTorqueUnknownShare = 0.1;
 constexpr double kSurelyMoving_rad_s = 15.0;  // beyond, friction has the sign of the motion
 constexpr double kSlopeLower = 0.3, kSlopeUpper = 2.0;
 constexpr double kSlopeUnknown_N_rad = 100.0;
+constexpr double kTabled_N = 1e5;  // beyond, a stiffness that grows without end is led on
 constexpr double kForceLower = 0.45, kForceUpper = 1.6;
 constexpr double kContactUnknown_rad = 1.5;
 constexpr double kRelaxation = 0.1;  // share of the force that pads may lose at a standstill
@@ -72,24 +74,35 @@ ReadingMonitor::Bounds::Bounds(const NominalDrive& drive) noexcept
   sluggish.static_Nm *= kDryFriction;
   sluggish.stribeck_rad_s *= kStribeckWidth;
   unloaded = sluggish.dry_friction(0.0);
-  if (drive.cubic_N_rad3 >= 0.0) return;
-  // A cubic with k1 < 0 turns over; its steepest place is half way, and it is steep enough to a little beyond.
-  // Past its top nothing is known but that the force is there.
-  top_rad = 2.0 / 3.0 * drive.quadratic_N_rad2 / -drive.cubic_N_rad3;
-  steep_rad = 0.55 * top_rad;
+  if (drive.cubic_N_rad3 < 0.0) {
+    // A cubic with k1 < 0 turns over; its steepest place is half way, and it is steep enough to a little
+    // beyond. Past its top nothing is known but that the force is there.
+    top_rad = 2.0 / 3.0 * drive.quadratic_N_rad2 / -drive.cubic_N_rad3;
+    steep_rad = 0.55 * top_rad;
+  }
+  steps2_N = kSteps * kSteps / std::min(nominal_N(steep_rad), kTabled_N);
+  for (std::size_t i = 0; i < slopes_N_rad.size(); ++i)
+    slopes_N_rad[i] = slope_from_curve_N_rad(static_cast<double>(i * i) / steps2_N);
 }
 
-/// Of the nominal brake where it has this force.
+/// Of the nominal brake where it has this force: Newton's method from where a brake without k1 has it.
+double ReadingMonitor::Bounds::slope_from_curve_N_rad(double force_N) const noexcept {
+  const StiffnessCurve curve = nominal.stiffness();
+  double u = std::sqrt(force_N / curve.quadratic_N_rad2);
+  for (int i = 0; i < 4; ++i) {
+    u = std::min(u, steep_rad);
+    u -= (curve.force_N(u) - force_N) / std::max(curve.slope_N_rad(u), 1.0);
+  }
+  return curve.slope_N_rad(std::clamp(u, 0.0, steep_rad));
+}
+
+/// The same from the table; none without force.
 inline double ReadingMonitor::Bounds::slope_N_rad(double force_N) const noexcept {
   if (force_N <= 0.0) return 0.0;
-  const double cubic = nominal.cubic_N_rad3, quadratic = nominal.quadratic_N_rad2;
-  double u = std::sqrt(force_N / quadratic);
-  for (int i = 0; i < 2; ++i) {
-    u = std::min(u, steep_rad);
-    const double excess_N = (cubic * u + quadratic) * u * u - force_N;
-    u -= excess_N / std::max((3.0 * cubic * u + 2.0 * quadratic) * u, 1.0);
-  }
-  return nominal.stiffness().slope_N_rad(std::min(u, steep_rad));
+  const double root = std::sqrt(force_N * steps2_N);
+  const auto whole = static_cast<std::ptrdiff_t>(std::min(root, double{kSteps}));
+  const double* at = slopes_N_rad.data() + whole;
+  return at[0] + (root - static_cast<double>(whole)) * (at[1] - at[0]);
 }
 
 inline double ReadingMonitor::Bounds::nominal_N(double compression_rad) const noexcept {
@@ -115,7 +128,7 @@ inline bool ReadingMonitor::Levels::contradict() const noexcept {
 
 void ReadingMonitor::restart() noexcept {
   const auto commands_Nm = commands_Nm_;
-  *this = ReadingMonitor(tolerances_, bounds_.nominal);
+  *this = ReadingMonitor(tolerances_, bounds_);
   commands_Nm_ = commands_Nm;
 }
 

@@ -84,7 +84,7 @@ struct ReadingContext {
 class ReadingMonitor {
  public:
   ReadingMonitor(const ReadingTolerances& tolerances, const NominalDrive& drive) noexcept
-      : tolerances_(tolerances), bounds_(drive) {}
+      : ReadingMonitor(tolerances, Bounds(drive)) {}
 
   /// Forgets everything but the commands: a check begins.
   CLAMPD_REALTIME void restart() noexcept;
@@ -104,6 +104,7 @@ class ReadingMonitor {
   struct Bounds {
     explicit Bounds(const NominalDrive& drive) noexcept;
     double slope_N_rad(double force_N) const noexcept;
+    double slope_from_curve_N_rad(double force_N) const noexcept;
     double nominal_N(double compression_rad) const noexcept;
     DryFriction friction(double force_N) const noexcept;
 
@@ -113,6 +114,11 @@ class ReadingMonitor {
     double light_per_kg_m2 = 0.0, heavy_per_kg_m2 = 0.0;  ///< one over the least and the largest inertia
     double steep_rad = 0.0;  ///< compression to where the nominal stiffness is steep
     double top_rad = 0.0;    ///< compression of the largest force on the nominal curve
+    /// The nominal stiffness at equal steps of the root of the force, over which it is nearly straight; the last
+    /// step leads on.
+    static constexpr int kSteps = 64;
+    std::array<double, kSteps + 2> slopes_N_rad{};
+    double steps2_N = 0.0;  ///< the square of a force's root in steps, over the force
   };
 
   /// The last readings, in no order.
@@ -163,6 +169,8 @@ class ReadingMonitor {
 
   static constexpr int kHistory = 4;
 
+  ReadingMonitor(const ReadingTolerances& tolerances, const Bounds& bounds) noexcept
+      : tolerances_(tolerances), bounds_(bounds) {}
   static Interval range(const Last<kHistory>& last) noexcept;
   void begin_at(const BrakeFeedback& feedback) noexcept;
   double compare_torque(double reading_Nm, double samples) noexcept;

@@ -219,20 +219,6 @@ bool Supervisor::arm() noexcept {
   return true;
 }
 
-void Supervisor::follow(CheckPhase phase, bool done, const ReadingContext& context) noexcept {
-  if (!sequence_runs()) return;
-  phase_ = phase;
-  context_ = context;
-  if (done) {
-    state_ = StationState::Idle;
-    state_entered_ns_ = now_ns_;
-    phase_ = CheckPhase::None;
-  } else if (phase == CheckPhase::Release && state_ == StationState::Running) {
-    state_ = StationState::Releasing;
-    state_entered_ns_ = now_ns_;
-  }
-}
-
 void Supervisor::end_samples() noexcept {
   if (now_ns_ - last_sample_ns_ > settings_.stale_ns) raise(FaultCause::FeedbackStale);
   const std::int64_t in_state_ns = now_ns_ - state_entered_ns_;
@@ -244,16 +230,6 @@ void Supervisor::end_samples() noexcept {
   }
   if (state_ == StationState::Armed && in_state_ns > settings_.armed_timeout_ns)
     raise(FaultCause::BrakeFault);
-}
-
-void Supervisor::sent(bool handed_over, double torque_Nm) noexcept {
-  last_torque_sent_Nm_ = torque_Nm;
-  monitor_.commanded(torque_Nm);
-  if (handed_over) {
-    send_failures_in_a_row_ = 0;
-  } else if (++send_failures_in_a_row_ > settings_.send_failures_tolerated) {
-    raise(FaultCause::SendFailed);
-  }
 }
 
 }  // namespace clampd::rt

@@ -191,4 +191,28 @@ class Supervisor {
   std::uint64_t lost_in_check_ = 0;
 };
 
+inline void Supervisor::follow(CheckPhase phase, bool done, const ReadingContext& context) noexcept {
+  if (!sequence_runs()) return;
+  phase_ = phase;
+  context_ = context;
+  if (done) {
+    state_ = StationState::Idle;
+    state_entered_ns_ = now_ns_;
+    phase_ = CheckPhase::None;
+  } else if (phase == CheckPhase::Release && state_ == StationState::Running) {
+    state_ = StationState::Releasing;
+    state_entered_ns_ = now_ns_;
+  }
+}
+
+inline void Supervisor::sent(bool handed_over, double torque_Nm) noexcept {
+  last_torque_sent_Nm_ = torque_Nm;
+  monitor_.commanded(torque_Nm);
+  if (handed_over) {
+    send_failures_in_a_row_ = 0;
+  } else if (++send_failures_in_a_row_ > settings_.send_failures_tolerated) {
+    raise(FaultCause::SendFailed);
+  }
+}
+
 }  // namespace clampd::rt

@@ -68,21 +68,24 @@ void MotionObserver::predict(const NominalDrive& drive, double torque_Nm, double
   const double per_inertia = 1.0 / drive.inertia_kg_m2;
   const double push_rad_s = kStep_s * per_inertia * (torque_Nm - drive.ratio_m_rad * force_N);
   const double drag = 1.0 / (1.0 + kStep_s * per_inertia * drive.viscous_Nm_s_rad);
-  const DryFriction friction = drive.dry_friction(force_N);
+  // Friction as what it takes from the velocity in a step.
+  DryFriction friction = drive.dry_friction(force_N);
+  friction.coulomb_Nm = kStep_s * per_inertia * (friction.coulomb_Nm + state_.friction_excess_Nm);
+  friction.beyond_coulomb_Nm *= kStep_s * per_inertia;
   // By how much 1 N m changes the velocity in a period, and what that is worth of the torque's variance.
   const double gain = kPeriod_s * per_inertia, kick = gain * gain * kTorqueVariance_Nm2;
   MotionState state = state_;
   Covariance c = covariance_;
   for (int period = 0; period < periods; ++period) {
     const double before_rad_s = state.velocity_rad_s;
+    double sum_rad_s = 0.5 * before_rad_s;
     for (int i = 0; i < kSubsteps; ++i) {
-      const double level_Nm = friction.torque_Nm(state.velocity_rad_s) + state.friction_excess_Nm;
-      const double holds_rad_s = kStep_s * per_inertia * std::max(0.0, level_Nm);
+      const double holds_rad_s = std::max(0.0, friction.torque_Nm(state.velocity_rad_s));
       const double free_rad_s = state.velocity_rad_s + push_rad_s;
-      const double next_rad_s = (free_rad_s - std::clamp(free_rad_s, -holds_rad_s, holds_rad_s)) * drag;
-      state.position_rad += 0.5 * kStep_s * (state.velocity_rad_s + next_rad_s);
-      state.velocity_rad_s = next_rad_s;
+      state.velocity_rad_s = (free_rad_s - std::clamp(free_rad_s, -holds_rad_s, holds_rad_s)) * drag;
+      sum_rad_s += state.velocity_rad_s;
     }
+    state.position_rad += kStep_s * (sum_rad_s - 0.5 * state.velocity_rad_s);
     // At rest friction balances whatever acts: then neither velocity nor friction excess have an influence.
     const bool slides = state.velocity_rad_s != 0.0;
     if (!slides && before_rad_s == 0.0) c.pv = c.vv = c.vf = 0.0;

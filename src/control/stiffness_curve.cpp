@@ -25,8 +25,9 @@ double StiffnessCurve::position_for(double force_N, double nominal_position_rad,
   double x = std::clamp(nominal_position_rad * std::sqrt(nominal_quadratic_N_rad2 / quadratic_N_rad2), lowest,
                         highest);
   for (int step = 0; step < kNewtonSteps; ++step) {
-    const double slope = std::max(slope_N_rad(x), kLeastSlope_N_rad);
+    const double slope = std::max(slope_N_rad(x), kLeastSlope_N_rad), before = x;
     x = std::clamp(x + (force_N - this->force_N(x)) / slope, lowest, highest);
+    if (x == before) break;  // all that follow would find the same
   }
   return x;
 }
