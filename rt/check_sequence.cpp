@@ -83,8 +83,8 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
     return last_;
   }
   // Of numbers that are no readings, the sum is none either.
-  const bool finite = std::isfinite(feedback.force_N + feedback.velocity_rad_s + feedback.torque_Nm +
-                                    feedback.position_rad);
+  const bool finite =
+      std::isfinite(feedback.force_N + feedback.velocity_rad_s + feedback.torque_Nm + feedback.position_rad);
   if (started_ && feedback.sample_index == index_) return last_;
   if (!finite || (started_ && feedback.sample_index < index_)) {
     last_.torque_Nm = 0.0;

@@ -153,7 +153,8 @@ class HealthBoard {
   // Without a loop, so that each place is known to the compiler.
   template <std::size_t... i>
   void store(const PortHealth& health, std::index_sequence<i...>) noexcept {
-    (counters_[i].store(health.*std::integral_constant<Counter, kCounters[i]>::value, std::memory_order_relaxed),
+    (counters_[i].store(health.*std::integral_constant<Counter, kCounters[i]>::value,
+                        std::memory_order_relaxed),
      ...);
   }
 

@@ -154,8 +154,8 @@ inline double ReadingMonitor::compare_torque(double reading_Nm, double samples) 
   const Interval commands_Nm = range(commands_Nm_);
   const double beyond_Nm =
       std::max(0.0, std::max(commands_Nm.lower - reading_Nm, reading_Nm - commands_Nm.upper));
-  const double largest_Nm = std::max(std::max(std::abs(commands_Nm.lower), std::abs(commands_Nm.upper)),
-                                     std::abs(reading_Nm));
+  const double largest_Nm =
+      std::max(std::max(std::abs(commands_Nm.lower), std::abs(commands_Nm.upper)), std::abs(reading_Nm));
   const double excess_Nm = beyond_Nm - tolerances_.torque_Nm - kTorqueShare * largest_Nm;
   torque_excess_Nm_ =
       std::max(0.0, torque_excess_Nm_ + std::max(excess_Nm, -tolerances_.torque_Nm) * samples);
@@ -177,7 +177,7 @@ inline ReadingMonitor::Drivers ReadingMonitor::drivers(double elapsed_s, bool st
 }
 
 inline double ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers& drivers,
-                                        double velocity_rad_s) noexcept {
+                                               double velocity_rad_s) noexcept {
   const double before_rad_s = momentum.before_rad_s;
   momentum.before_rad_s = velocity_rad_s;
   const double slower_rad_s = std::min(std::abs(velocity_rad_s), std::abs(before_rad_s));
@@ -202,7 +202,8 @@ inline double ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers
   return level;
 }
 
-inline double ReadingMonitor::compare_position(double velocity_rad_s, double step_rad, double elapsed_s) noexcept {
+inline double ReadingMonitor::compare_position(double velocity_rad_s, double step_rad,
+                                               double elapsed_s) noexcept {
   const double mean_rad_s = 0.5 * (velocity_rad_s + previous_.velocity_rad_s);
   position_excess_rad_ = kForgetFast * position_excess_rad_ + step_rad - mean_rad_s * elapsed_s;
   const double both_rad_s = std::min(std::abs(mean_rad_s), std::abs(step_rad / elapsed_s));
@@ -236,7 +237,8 @@ inline double ReadingMonitor::compare_force(double reading_N, double step_rad) n
                   jump_N / (kForceJump * tolerance_N));
 }
 
-inline double ReadingMonitor::compare_compression(double position_rad, const ReadingContext& context) const noexcept {
+inline double ReadingMonitor::compare_compression(double position_rad,
+                                                  const ReadingContext& context) const noexcept {
   if (!context.contact_known) return 0.0;
   const double compression_rad = position_rad - context.contact_rad;
   const double force_N = force_N_ - context.force_zero_N;

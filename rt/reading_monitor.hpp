@@ -114,8 +114,8 @@ class ReadingMonitor {
     double light_per_kg_m2 = 0.0, heavy_per_kg_m2 = 0.0;  ///< one over the least and the largest inertia
     double steep_rad = 0.0;  ///< compression to where the nominal stiffness is steep
     double top_rad = 0.0;    ///< compression of the largest force on the nominal curve
-    /// The nominal stiffness at equal steps of the root of the force, over which it is nearly straight; the last
-    /// step leads on.
+    /// The nominal stiffness at equal steps of the root of the force, over which it is nearly straight; the
+    /// last step leads on.
     static constexpr int kSteps = 64;
     std::array<double, kSteps + 2> slopes_N_rad{};
     double steps2_N = 0.0;  ///< the square of a force's root in steps, over the force

@@ -74,23 +74,23 @@ void MotionObserver::predict(const NominalDrive& drive, double torque_Nm, double
   friction.beyond_coulomb_Nm *= kStep_s * per_inertia;
   // By how much 1 N m changes the velocity in a period, and what that is worth of the torque's variance.
   const double gain = kPeriod_s * per_inertia, kick = gain * gain * kTorqueVariance_Nm2;
-  MotionState state = state_;
-  Covariance c = covariance_;
+  Covariance& c = covariance_;
   for (int period = 0; period < periods; ++period) {
-    const double before_rad_s = state.velocity_rad_s;
+    const double before_rad_s = state_.velocity_rad_s;
     double sum_rad_s = 0.5 * before_rad_s;
     for (int i = 0; i < kSubsteps; ++i) {
-      const double holds_rad_s = std::max(0.0, friction.torque_Nm(state.velocity_rad_s));
-      const double free_rad_s = state.velocity_rad_s + push_rad_s;
-      state.velocity_rad_s = (free_rad_s - std::clamp(free_rad_s, -holds_rad_s, holds_rad_s)) * drag;
-      sum_rad_s += state.velocity_rad_s;
+      const double holds_rad_s = std::max(0.0, friction.torque_Nm(state_.velocity_rad_s));
+      const double free_rad_s = state_.velocity_rad_s + push_rad_s;
+      state_.velocity_rad_s = (free_rad_s - std::clamp(free_rad_s, -holds_rad_s, holds_rad_s)) * drag;
+      sum_rad_s += state_.velocity_rad_s;
     }
-    state.position_rad += kStep_s * (sum_rad_s - 0.5 * state.velocity_rad_s);
+    state_.position_rad += kStep_s * (sum_rad_s - 0.5 * state_.velocity_rad_s);
     // At rest friction balances whatever acts: then neither velocity nor friction excess have an influence.
-    const bool slides = state.velocity_rad_s != 0.0;
+    const bool slides = state_.velocity_rad_s != 0.0;
     if (!slides && before_rad_s == 0.0) c.pv = c.vv = c.vf = 0.0;
-    // T P T' + Q with T = (1 dt x; 0 1 v; 0 0 1): v and x is what 1 N m of friction does to velocity and position.
-    const double v = slides ? std::copysign(gain, -state.velocity_rad_s) : 0.0;
+    // T P T' + Q with T = (1 dt x; 0 1 v; 0 0 1), where v and x are what 1 N m of friction does to velocity
+    // and position.
+    const double v = slides ? std::copysign(gain, -state_.velocity_rad_s) : 0.0;
     const double x = 0.5 * kPeriod_s * v;
     const double pv = c.pv + kPeriod_s * c.vv + x * c.vf;
     const double pf = c.pf + kPeriod_s * c.vf + x * c.ff;
@@ -102,8 +102,6 @@ void MotionObserver::predict(const NominalDrive& drive, double torque_Nm, double
     c.vf = vf;
     if (slides) c.ff = std::min(c.ff + kFrictionStepVariance_Nm2, kFrictionLimit_Nm);
   }
-  state_ = state;
-  covariance_ = c;
 }
 
 }  // namespace clampd
