@@ -255,13 +255,20 @@ class BasicControlCore {
                       .skipped_periods = skipped_periods,
                       .health = port_.health(),
                       .interlocks = {},
-                      .operator_stop = take_stops(),
-                      .clear = take_clear()};
+                      .operator_stop = false,
+                      .clear = false};
     // While the loop itself stood still, the panel had no chance either: only its silence beside a running
     // loop counts.
     const std::int64_t missed_ns = static_cast<std::int64_t>(skipped_periods) * kPeriod_ns;
     if (interlocks_ != nullptr) inputs.interlocks = interlocks_->read(now_ns - missed_ns);
     if (requests_.emergency_stop.load(std::memory_order_acquire)) inputs.interlocks.emergency_stop = true;
+    const std::uint64_t stops = requests_.stops.load(std::memory_order_acquire);
+    inputs.operator_stop = stops != stops_taken_;
+    stops_taken_ = stops;
+    // Looked at before it is taken: an exchange in every tick would be its one locked operation. Only the
+    // loop takes it.
+    inputs.clear = requests_.clear.load(std::memory_order_acquire) &&
+                   requests_.clear.exchange(false, std::memory_order_acq_rel);
     // Before the clear is looked at: a plan from before the fault was cleared must not start after it.
     if (supervisor_.state() == StationState::Fault &&
         requests_.plan.load(std::memory_order_acquire) != nullptr)
@@ -270,17 +277,6 @@ class BasicControlCore {
     if (plan_ != nullptr && now_ns - armed_ns_ > deadline_ns_) supervisor_.raise(FaultCause::DeadlinePassed);
     health_.store(inputs.health);
     port_lost_samples_ = inputs.health.lost_samples;
-  }
-
-  bool take_stops() noexcept {
-    const std::uint64_t stops = requests_.stops.load(std::memory_order_acquire);
-    return std::exchange(stops_taken_, stops) != stops;
-  }
-
-  // Read before it is taken: nearly always there is nothing to take, and an exchange locks the bus.
-  bool take_clear() noexcept {
-    return requests_.clear.load(std::memory_order_acquire) &&
-           requests_.clear.exchange(false, std::memory_order_acq_rel);
   }
 
   void take(const BrakeFeedback& feedback, Sample& sample, std::int64_t now_ns,
