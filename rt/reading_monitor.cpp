@@ -96,9 +96,9 @@ double ReadingMonitor::Bounds::slope_from_curve_N_rad(double force_N) const noex
   return curve.slope_N_rad(std::clamp(u, 0.0, steep_rad));
 }
 
-/// The same from the table; none without force.
+/// The same from the table; none without force, or where that is no number.
 inline double ReadingMonitor::Bounds::slope_N_rad(double force_N) const noexcept {
-  if (force_N <= 0.0) return 0.0;
+  if (!(force_N > 0.0)) return 0.0;
   const double root = std::sqrt(force_N * steps2_N);
   const auto whole = static_cast<std::ptrdiff_t>(std::min(root, double{kSteps}));
   const double* at = slopes_N_rad.data() + whole;
@@ -123,7 +123,8 @@ inline void ReadingMonitor::Excess::add(double change, const Interval& bounds, d
 inline bool ReadingMonitor::Levels::contradict() const noexcept {
   const double largest = std::max(std::max(std::max(torque, position), std::max(by_velocity, by_position)),
                                   std::max(force, compression));
-  return largest >= 1.0 || velocity_stuck || force_stuck;
+  // Not ">= 1": a level that is no number hides none of the others from the verdict.
+  return !(largest < 1.0) || velocity_stuck || force_stuck;
 }
 
 void ReadingMonitor::restart() noexcept {
