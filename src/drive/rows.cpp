@@ -231,8 +231,13 @@ Result<void> check(const Run& run, const DriveModel& model) {
   return {};
 }
 
+/// Around each recorded sample, before any are averaged: half of the time the command before it still acts.
+void center_held(std::vector<double>& torque) {
+  for (std::size_t i = torque.size() - 1; i > 0; --i) torque[i] = 0.5 * (torque[i] + torque[i - 1]);
+}
+
 /// Averages of `count` samples each.
-Run averaged(const Run& run, std::size_t count) {
+Run averaged(Run run, std::size_t count) {
   if (count <= 1) return run;
   const auto means = [&](const std::vector<double>& values) {
     std::vector<double> result;
@@ -329,11 +334,6 @@ void fill(DriveRows& rows) {
   rows.travel = rows.filtered(travel);
 }
 
-/// Around each sample: half of the time the command before it still acts.
-void center_held(std::vector<double>& torque) {
-  for (std::size_t i = torque.size() - 1; i > 0; --i) torque[i] = 0.5 * (torque[i] + torque[i - 1]);
-}
-
 /// Where a row's window holds standstill, a gap or the drive off, it is left out.
 enum class RowUse { Used, Standstill, Gap, DriveOff, Reversal };
 constexpr std::size_t kRowUses = 5;
@@ -354,12 +354,10 @@ RowUse use_of(const DriveRows& rows, const Run& run, std::size_t first, const st
   return std::min(forward, backward) + standstill > kMaxReversal ? RowUse::Reversal : RowUse::Used;
 }
 
-DriveRows rows_of(const Run& run, const DriveModel& model, double cut_off_Hz, DriveData& data,
-                  std::array<double, kRowUses>& seconds) {
+DriveRows rows_of(const Run& run, double cut_off_Hz, DriveData& data, std::array<double, kRowUses>& seconds) {
   DriveRows rows;
   rows.name = run.name;
   rows.motion = motion_of(run, cut_off_Hz, data.slow_speed);
-  if (model.torque_held) center_held(rows.motion.torque);
   const std::span<const double> time_s(rows.motion.time_s);
   const double sd_s = gaussian_sd_s(cut_off_Hz);
   const double margin_s = 3.0 * sd_s + 1.0 / (3.0 * cut_off_Hz);
@@ -455,7 +453,9 @@ DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const 
     const double here_Hz = std::min(cut_off_Hz, kHighestCutOff / step_s);
     const auto together =
         static_cast<std::size_t>(std::max(1.0, kRowsPerCutOff / here_Hz / step_s / kSamplesPerRow));
-    DriveRows rows = rows_of(averaged(run, together), model, here_Hz, data, seconds);
+    Run centred = run;
+    if (model.torque_held) center_held(centred.torque_Nm);
+    DriveRows rows = rows_of(averaged(std::move(centred), together), here_Hz, data, seconds);
     rows.run = static_cast<int>(r);
     rows.heldout = r >= heldout_from;
     const auto size = static_cast<double>(rows.size());
