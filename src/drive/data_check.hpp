@@ -61,6 +61,7 @@ void check_resolution(RunCheck& check);
 struct MotionSummary {
   bool moves = false;
   std::size_t rows = 0, forward = 0, backward = 0;  ///< rows that move, by direction
+  bool one_way() const;                             ///< but for a few rows
   double standing_share = 0.0;
   double least_speed = 0.0, greatest_speed = 0.0;  ///< 10 and 90 % quantiles of the rows that move
   double acceleration_share = 0.0;                 ///< change of speed within the run over the typical speed

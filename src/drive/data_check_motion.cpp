@@ -10,6 +10,8 @@ namespace clampd::data_check {
 namespace {
 
 constexpr std::size_t kFewestRows = 20;
+/// Of the rows that move, at most in the other direction if the motion is called one way.
+constexpr double kOneWay = 0.03;
 
 std::vector<double> magnitudes(std::span<const double> values) {
   std::vector<double> result;
@@ -80,12 +82,36 @@ void add_of_motion(std::vector<DataFinding>& findings, std::string name, const s
   findings.push_back({std::move(name), "", run, size, std::move(unit), severity, std::move(words)});
 }
 
+/// A position that changes in most rows by much of its whole travel, forth and back: neither noise nor motion
+/// can be told then. Of a harmonic motion of N rows a period the second differences make as noise 2 % of the
+/// travel with N = 20, 8 % with 10.
+bool check_position_rows(RunCheck& check) {
+  const Run& run = check.run;
+  if (run.position_rad.empty()) return false;
+  const double travel = quantile(run.position_rad, 0.98) - quantile(run.position_rad, 0.02);
+  const double scatter = noise_of(run.position_rad);
+  constexpr double kNotable = 0.03, kMost = 0.08;
+  if (scatter < kNotable * travel || scatter < 2.0 * step_of(run.position_rad)) return false;
+  const bool stops =
+      check.model.part(DriveTerm::Inertia).use == PartUse::Estimate && scatter > kMost * travel;
+  const double rate_Hz = 1.0 / median_of_steps(run.time_s);
+  check.add(
+      "sampling-too-slow", check.model.columns.time.column, rate_Hz, "Hz",
+      stops ? DataSeverity::Stop : DataSeverity::Note,
+      fmt::format("{:.3g} rows a second are too few for this motion: from row to row the position leaves a "
+                  "straight line by {:.0f} % of its travel, so that it has no acceleration that could be "
+                  "told from noise. Record at {:.2g} Hz or more, or move more slowly",
+                  rate_Hz, 100.0 * scatter / travel, rate_Hz * (stops ? 10.0 : 5.0)));
+  return true;
+}
+
 }  // namespace
 
 void check_sampling(RunCheck& check) {
   const Run& run = check.run;
   constexpr std::size_t kEnoughRows = 40;
   if (run.size() < kEnoughRows || !moves(run)) return;
+  if (check_position_rows(check)) return;
   const std::vector<double> velocity = row_velocity(run);
   const double range = quantile(velocity, 0.99) - quantile(velocity, 0.01), noise = noise_of(velocity);
   if (range < 20.0 * std::max(noise, step_of_velocity(run)))
@@ -142,6 +168,10 @@ void check_resolution(RunCheck& check) {
                         difference));
 }
 
+bool MotionSummary::one_way() const {
+  return static_cast<double>(std::min(forward, backward)) < kOneWay * static_cast<double>(forward + backward);
+}
+
 MotionSummary summarise_motion(const RunCheck& check) {
   MotionSummary summary;
   const Run& run = check.run;
@@ -195,7 +225,7 @@ void check_excitation(std::span<const MotionSummary> motions, std::span<const Ru
         "their steps. Record a motion");
   }
   const double standing_share = standing / static_cast<double>(rows);
-  constexpr double kMostlyStanding = 0.6, kOneWay = 0.03, kSteady = 0.1;
+  constexpr double kMostlyStanding = 0.6, kSteady = 0.1;
   if (standing_share > kMostlyStanding)
     add_of_motion(
         findings, "standstill", together, 100.0 * standing_share, "%", DataSeverity::Note,
@@ -211,6 +241,13 @@ void check_excitation(std::span<const MotionSummary> motions, std::span<const Ru
                     "direction are then the same; "
                     "record the other direction, too",
                     forward > backward ? "forward" : "backward"));
+  else if (!model.steady && std::ranges::all_of(motions, [](const MotionSummary& each) {
+             return !each.moves || each.one_way();
+           }))
+    add_of_motion(findings, "one-direction", together, 100.0, "%", DataSeverity::Note,
+                  "no run reverses: each goes one way only. What happens at a reversal is not seen, and a "
+                  "constant torque that changes from run to run would be the same as friction; record motion "
+                  "there and back within a run, too");
   if (model.part(DriveTerm::Viscous).use == PartUse::Estimate && least > (1.0 - kSteady) * greatest)
     add_of_motion(
         findings, "one-speed", together, greatest, std::string(velocity_unit(model)), DataSeverity::Note,

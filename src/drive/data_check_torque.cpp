@@ -338,7 +338,7 @@ double asked_beyond(const Run& run, bool linear, double level) {
 void check_clipping(RunCheck& check) {
   constexpr std::size_t kLeastRows = 100;
   const std::vector<double>& torque = check.run.torque_Nm;
-  if (torque.size() < kLeastRows || check.model.torque_held) return;  // a command may well stay at its limit
+  if (torque.size() < kLeastRows) return;
   std::size_t rows = 0;
   double level = 0.0, beyond = -1.0;
   for (const Limit& limit : limits_of(torque)) {
@@ -359,7 +359,7 @@ void check_clipping(RunCheck& check) {
                           "torque goes on. Record with a "
                           "larger range, or leave those parts out of the file",
                           what, 100.0 * beyond));
-  else
+  else if (!check.model.torque_held)  // a command may well stay at its limit
     check.add("clipped", column, static_cast<double>(rows), "rows", DataSeverity::Note,
               what +
                   ": the drive limits its torque, or the reading is clipped. If the reading is, record with "

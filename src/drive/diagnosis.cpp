@@ -190,6 +190,43 @@ void withdraw_what_leans_on_the_rest(Selector& selector, const Design& design, c
   }
 }
 
+double inertia_of(const Selector& selector, const TorqueModel& model) {
+  for (const FittedTerm& term : selector.terms_of(model))
+    if (term.term == DriveTerm::Inertia && !term.coefficients.empty()) return term.coefficients.front();
+  return kNaN;
+}
+
+/// An effect that fits only by taking the inertia's torque for its own has said nothing of the drive. It goes
+/// where the inertia would be negative beside it, or, if much is left all the same, a small part of what it
+/// is without it.
+void withdraw_what_takes_the_inertia(Selector& selector, const Design& design, const DriveModel& model,
+                                     Selection& selection, std::vector<std::string>& notices) {
+  constexpr double kSmallPart = 0.4;
+  while (selection.best.parts.size() > selection.base.parts.size()) {
+    const double inertia = inertia_of(selector, selection.best);
+    const Remainder rest = remainder_of(design, selection.best, std::max(0.0, inertia));
+    const bool enough = rest.share < model.good_enough || rest.is_noise();
+    std::optional<TorqueModel> without_thief;
+    std::string thief;
+    double most = 0.0;
+    for (std::size_t p = 0; p < selection.best.parts.size(); ++p) {
+      const Variant& part = selection.best.parts[p];
+      if (std::ranges::find(selection.base.parts, part) != selection.base.parts.end()) continue;
+      TorqueModel smaller = selector.without(selection.best, p);
+      if (!smaller.ok()) continue;
+      const double before = inertia_of(selector, smaller);
+      if (!(before > most) || !(inertia < (enough ? 0.0 : kSmallPart * before))) continue;
+      most = before;
+      thief = part.name;
+      without_thief = std::move(smaller);
+    }
+    if (!without_thief) return;
+    notices.push_back(fmt::format("{} is no explanation: the inertia would be {:.0f} % of what it is without",
+                                  thief, 100.0 * inertia / most));
+    selection.best = std::move(*without_thief);
+  }
+}
+
 std::vector<Variant> effects_of(const Selection& selection) {
   std::vector<Variant> effects;
   for (const Variant& part : selection.best.parts)
@@ -451,10 +488,40 @@ Rests add_rests(const Design& design, const Selection& selection, const DriveMod
   return rests;
 }
 
-void decide(const Rests& rests, const std::vector<std::string>& words, const DriveModel& model,
+/// A negative inertia that is certain is none of a drive, however little is left. A torque that is read late
+/// by tau loses tau times the viscous friction of it, to first order, so that the least such delay is known.
+bool inertia_is_possible(const DriveModel& model, Diagnosis& diagnosis) {
+  constexpr double kCertain_sds = 4.0;
+  const auto& parameters = diagnosis.parameters_after;
+  const auto inertia = std::ranges::find(parameters, "inertia", &EstimatedParameter::name);
+  if (inertia == parameters.end() || !(inertia->value < -kCertain_sds * inertia->sd)) return true;
+  const auto viscous = std::ranges::find(parameters, "viscous", &EstimatedParameter::name);
+  const std::string& column = model.columns.torque.column;
+  const std::string what = fmt::format("with column {} the inertia would be negative, {:.3g} ± {:.1g} {}",
+                                       column, inertia->value, inertia->sd, inertia->unit);
+  if (viscous != parameters.end() && viscous->value > 0.0) {
+    const double delay_s = -inertia->value / viscous->value;
+    diagnosis.data.push_back(
+        {"torque-delay", column, "", delay_s, "s", DataFinding::Severity::Note,
+         fmt::format(
+             "{}, as if it were recorded {:.2g} ms later than the motion, or more. Record both at the "
+             "same instant",
+             what, 1e3 * delay_s)});
+  } else {
+    diagnosis.data.push_back({"negative-inertia", column, "", inertia->value, inertia->unit,
+                              DataFinding::Severity::Note,
+                              what + ": torque and motion do not belong together, in time, sign or unit"});
+  }
+  return false;
+}
+
+void decide(const Rests& rests, const std::vector<std::string>& words, bool possible, const DriveModel& model,
             Diagnosis& diagnosis) {
   const Remainder& rest = rests.after;
-  const bool enough = rest.share < model.good_enough || rest.is_noise();
+  // Where the rows are too few for the motion, their scatter tells no noise.
+  const bool noise_is_known = std::ranges::none_of(
+      diagnosis.data, [](const DataFinding& each) { return each.name == "sampling-too-slow"; });
+  const bool enough = possible && (rest.share < model.good_enough || (rest.is_noise() && noise_is_known));
   const bool structured = rest.explainable > kStructured && !rest.is_noise();
   const std::string what_is_left = rest_words(rest, rests.dependences, Units(model));
   const double percent = 100.0 * rest.share;
@@ -468,9 +535,15 @@ void decide(const Rests& rests, const std::vector<std::string>& words, const Dri
         rest.is_noise() ? "no more than the readings' own noise" : "less than what is called good enough");
   } else if (diagnosis.effects.empty()) {
     diagnosis.verdict = DiagnosisVerdict::Unexplained;
-    diagnosis.summary = fmt::format(
-        "{}: no known effect explains the torque; {:.3g} % of its variation is left, and that {}.",
-        model.name, percent, what_is_left);
+    diagnosis.summary =
+        !possible
+            ? fmt::format(
+                  "{}: the base model fits with a negative inertia only; {:.3g} % "
+                  "of the torque's variation is left.",
+                  model.name, percent)
+            : fmt::format(
+                  "{}: no known effect explains the torque; {:.3g} % of its variation is left, and that {}.",
+                  model.name, percent, what_is_left);
   } else if (!enough) {
     diagnosis.verdict = DiagnosisVerdict::Unexplained;
     diagnosis.summary = fmt::format("{}: {}. Left: {}. The rest, {:.3g} %, {}.", model.name, listed(words),
@@ -527,7 +600,9 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   diagnosis.data = std::move(readings->findings);
   add_preparation(shop, model, diagnosis);
   withdraw_approximations(selector, design, model, selection, diagnosis.notices);
+  withdraw_what_takes_the_inertia(selector, design, model, selection, diagnosis.notices);
   withdraw_what_leans_on_the_rest(selector, design, model, selection, diagnosis.notices);
+  withdraw_what_takes_the_inertia(selector, design, model, selection, diagnosis.notices);
   selector.find_rivals(selection);
   diagnosis.rivals = selection.rivals;
   const std::vector<std::string> words = add_model(shop, selection, selector, model, runs, diagnosis);
@@ -537,7 +612,7 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   if (!std::isfinite(rests.after.share) || !std::isfinite(rests.before.share))
     return failure(fmt::format(
         "{}: the torque does not change in the runs, so that nothing can be told of it", model.name));
-  decide(rests, words, model, diagnosis);
+  decide(rests, words, inertia_is_possible(model, diagnosis), model, diagnosis);
   diagnosis.next_experiment = next_motion(diagnosis.fitted, diagnosis.rivals, selection.unseen, shop.range);
   for (const auto& [name, reason] : selection.unseen) diagnosis.unseen.push_back({name, reason.reason});
   for (const UnseenReason& each : kNeverSeen)

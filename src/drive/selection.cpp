@@ -16,6 +16,9 @@ namespace {
 constexpr double kLeastTaken = 0.01;
 /// And this where what is left is good enough without it.
 constexpr double kLeastTakenBeyond = 0.05;
+/// What is good enough already asks for no further name, unless its torque makes this share of good enough:
+/// the rest of what the names before it do not quite fit is less.
+constexpr double kMuchBeyond = 0.5;
 /// However certain, an effect whose torque is less than this share of what is good enough has no name: the
 /// form of another effect, or of the friction, is hardly ever known to the last per cent.
 constexpr double kLeastOfGoodEnough = 0.15;
@@ -351,7 +354,8 @@ Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& 
                taken = square - design_.residuals(more.fit).squaredNorm();
   const bool enough = square < std::pow(model_.good_enough * variation_, 2);
   judgement.material = judgement.material && taken > (enough ? kLeastTakenBeyond : kLeastTaken) * square &&
-                       taken > least_square_;
+                       taken > least_square_ &&
+                       (!enough || taken > std::pow(kMuchBeyond * model_.good_enough * variation_, 2));
   if (added.term == DriveTerm::TorqueLag &&
       std::abs(added.lag_s) + added.settling_s < kFewRows * design_.data().sample_s)
     judgement.material = judgement.material && taken > std::pow(model_.good_enough * variation_, 2);
@@ -470,12 +474,14 @@ TorqueModel Selector::refined(TorqueModel model, DriveTerm term) {
     return with(model, with_shape(variant, additive ? shape + by : shape * std::exp(by)));
   };
   double curvature = 0.0;
+  const bool before = impossible(terms_of(model), range_, model_).has_value();
   for (int round = 0; round < 6; ++round) {
     const TorqueModel up = moved(step), down = moved(-step);
     if (up.ok() && down.ok())
       curvature = (up.evidence - 2.0 * model.evidence + down.evidence) / (step * step);
     const TorqueModel& better = up.ok() && (!down.ok() || up.evidence > down.evidence) ? up : down;
-    if (better.ok() && better.evidence > model.evidence) {
+    if (better.ok() && better.evidence > model.evidence &&
+        (before || !impossible(terms_of(better), range_, model_))) {
       model = better;
       variant = model.parts.back();
     } else {

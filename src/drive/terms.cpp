@@ -426,6 +426,8 @@ std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, cons
   }
   if (const auto load = first(DriveTerm::LoadFriction); load && *load < 0.0)
     return "friction would be less under load";
+  if (const auto loss = first(DriveTerm::TorqueSaturation); loss && *loss > 1.0)
+    return "more than half of the torque would be lost to saturation";
   if (const FittedTerm* mass = term_of(terms, DriveTerm::InertiaPosition))
     for (const double place : {-1.0, 0.0, 1.0}) {
       DriveState state;
