@@ -24,6 +24,7 @@ using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 
 DriveModel model_of(const DriveRun& run, bool linear = false) {
   DriveModel model;
@@ -297,6 +298,9 @@ TEST(DataCheck, AClippedTorqueContradictsTheMotionAndALimitedOneDoesNot) {
     const CheckedData data = checked(bad);
     EXPECT_TRUE(data.stops()) << seed;
     EXPECT_EQ(finding(data, "clipped").size, static_cast<double>(rows)) << seed;
+    DriveModel command = model_of(bad);
+    command.torque_held = true;
+    EXPECT_TRUE(check_data(std::span(&bad, 1), command)->stops()) << "a command that goes on, seed " << seed;
   }
   RecordedDrive limited = any_drive(12);
   limited.reference_rate = sines(1.0);
@@ -373,6 +377,36 @@ TEST(DataCheck, WhatTheMotionCannotShowIsSaid) {
               ElementsAre("one-direction", "one-speed", "no-acceleration"));
   drive.reference_rate = trapezoids(5, 0.15, 0.2);
   EXPECT_THAT(names(checked(record(drive, 12))), ElementsAre("one-direction"));
+}
+
+TEST(DataCheck, RunsOfWhichNoneReversesAreSaid) {
+  RecordedDrive drive = any_drive(12);
+  drive.reference_rate = trapezoids(5, 0.15, 0.2);
+  std::vector<DriveRun> runs{record(drive, 12)};
+  const auto forward = drive.reference_rate;
+  drive.reference_rate = [forward](double t) { return -forward(t); };
+  runs.push_back(record(drive, 13));
+  const DriveModel model = model_of(runs.front());
+  const Result<CheckedData> apart = check_data(runs, model);
+  EXPECT_THAT(names(*apart), ElementsAre("one-direction"));
+  drive.reference_rate = trapezoids(6);
+  runs.push_back(record(drive, 14));
+  EXPECT_THAT(names(*check_data(runs, model)), IsEmpty()) << "one that reverses";
+}
+
+TEST(DataCheck, AMotionOfAFewRowsAPeriodIsNoNoise) {
+  const auto sampled = [](double rows_a_period) {
+    DriveRun run;
+    for (int i = 0; i < 500; ++i) {
+      const double phase = 2.0 * M_PI * i / rows_a_period;
+      run.time_s.push_back(0.1 * i);
+      run.position_rad.push_back(std::sin(phase) + 0.2 * std::sin(0.31 * phase));
+      run.torque_Nm.push_back(0.3 * std::copysign(1.0, std::cos(phase)) - std::sin(phase));
+    }
+    return run;
+  };
+  EXPECT_EQ(finding(checked(sampled(9.3)), "sampling-too-slow").severity, DataSeverity::Stop);
+  EXPECT_THAT(names(checked(sampled(60.3))), Not(Contains("sampling-too-slow")));
 }
 
 TEST(DataCheck, ColumnsInAnotherUnitByName) {

@@ -315,6 +315,51 @@ TEST(DriveDiagnosis, ViewsAndProgressWhenAskedFor) {
   EXPECT_EQ(view.disturbance_after_Nm, view.disturbance_before_Nm) << "no effect, no change";
 }
 
+/// A motion of three sines, and a torque command that acts from its row until the next one, computed `late_s`
+/// after its time.
+DriveRun commanded(double rate_Hz, double inertia, double viscous, double late_s, unsigned seed) {
+  std::mt19937_64 random(seed);
+  std::normal_distribution<double> normal;
+  constexpr double kDry = 0.15, kNoise = 2e-4;
+  const auto motion = [](double t, int derivative) {
+    double sum = 0.0;
+    for (const auto& [size, rate] : {std::pair{6.0, 1.9}, {2.5, 4.1}, {1.0, 7.3}})
+      sum += size * std::pow(rate, derivative) * std::sin(rate * t + size + 0.5 * M_PI * derivative);
+    return sum;
+  };
+  DriveRun run;
+  run.name = "run";
+  const auto rows = static_cast<int>(12.0 * rate_Hz);
+  for (int i = 0; i < rows; ++i) {
+    const double t = i / rate_Hz, acts = t + 0.5 / rate_Hz - late_s;
+    run.time_s.push_back(t);
+    run.position_rad.push_back(1e-5 * std::round(1e5 * motion(t, 0)));
+    run.torque_Nm.push_back(inertia * motion(acts, 2) + viscous * motion(acts, 1) +
+                            std::copysign(kDry, motion(acts, 1)) + kNoise * normal(random));
+  }
+  return run;
+}
+
+TEST(DriveDiagnosis, ACommandThatActsForOneFastRowIsNotLate) {
+  for (const double rate_Hz : {500.0, 5000.0}) {
+    const DriveRun run = commanded(rate_Hz, 0.02, 0.003, 0.0, 5);
+    const Diagnosis diagnosis = diagnosed(std::span(&run, 1));
+    EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
+    EXPECT_LT(diagnosis.share_left, 0.005) << rate_Hz << " Hz";
+    EXPECT_NEAR(find(diagnosis.parameters_after, "inertia").value, 0.02, 5e-5) << rate_Hz << " Hz";
+  }
+}
+
+TEST(DriveDiagnosis, ANegativeInertiaIsNeverAdequate) {
+  DriveModel model = drive();
+  model.good_enough = 0.5;  // however little is asked for
+  const DriveRun run = commanded(500.0, 1e-4, 0.003, 0.08, 5);
+  const Diagnosis diagnosis = diagnosed(std::span(&run, 1), model);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Unexplained) << diagnosis.summary;
+  EXPECT_LT(find(diagnosis.parameters_after, "inertia").value, 0.0);
+  EXPECT_THAT(diagnosis.data, ::testing::Contains(::testing::Field(&DataFinding::name, "torque-delay")));
+}
+
 TEST(DriveDiagnosis, RefusesWhatItCannotJudge) {
   const auto message = [](const std::vector<DriveRun>& runs) {
     const Result<Diagnosis> diagnosis = diagnose_drive(runs, drive(), {});
