@@ -353,13 +353,17 @@ void check_clipping(RunCheck& check) {
   const std::string what = fmt::format(
       "column {} reads its extreme, {:.5g} {}, in {} rows ({:.1f} %)", column, level,
       torque_unit(check.model), rows, 100.0 * static_cast<double>(rows) / static_cast<double>(torque.size()));
-  if (beyond > kContradiction)
-    check.add("clipped", column, static_cast<double>(rows), "rows", DataSeverity::Stop,
+  // What acts at a command's limit is what it says, unless it was clipped on its way to the file.
+  const bool command = check.model.torque_held;
+  if (beyond > kContradiction &&
+      2 * rows < torque.size())  // else the rest does not tell what the motion needs
+    check.add("clipped", column, static_cast<double>(rows), "rows",
+              command ? DataSeverity::Note : DataSeverity::Stop,
               fmt::format("{}, and the motion there needs {:.0f} % more: the reading is clipped, and the "
                           "torque goes on. Record with a "
                           "larger range, or leave those parts out of the file",
                           what, 100.0 * beyond));
-  else if (!check.model.torque_held)  // a command may well stay at its limit
+  else if (!command)
     check.add("clipped", column, static_cast<double>(rows), "rows", DataSeverity::Note,
               what +
                   ": the drive limits its torque, or the reading is clipped. If the reading is, record with "

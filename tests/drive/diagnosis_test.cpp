@@ -74,7 +74,7 @@ std::vector<Hidden> hidden_effects() {
     return 0.02 * std::sin(6.0 * q + 1.0) + 8e-3 * std::cos(12.0 * q);
   };
   all[2].name = "quadratic-drag";
-  all[2].truth.extra = [](double, double v, int) { return 1.5e-4 * v * std::abs(v); };
+  all[2].truth.extra = [](double, double v, int) { return 3e-4 * v * std::abs(v); };
   all[3].name = "friction-shape";
   all[3].truth.dry = [](double, double v, int) { return 0.15 + 0.08 / (1.0 + v * v / 9.0); };
   all[4].name = "friction-position";
