@@ -153,7 +153,8 @@ bool same_token(std::string_view given, std::string_view expected) {
 /// Which request is for whom, and who may.
 class ControlServer::Api {
  public:
-  Api(ControlTarget& target, std::string token, std::vector<std::string> origins, std::span<const ScreenFile> screen);
+  Api(ControlTarget& target, std::string token, std::vector<std::string> origins,
+      std::span<const ScreenFile> screen);
 
   std::variant<Response, http::Job> route(const Request& request) const;
 
@@ -198,7 +199,8 @@ class ControlServer::Api {
   std::vector<Route> routes_;
 };
 
-ControlServer::Api::Api(ControlTarget& target, std::string token, std::vector<std::string> origins, std::span<const ScreenFile> screen)
+ControlServer::Api::Api(ControlTarget& target, std::string token, std::vector<std::string> origins,
+                        std::span<const ScreenFile> screen)
     : target_(target), token_(std::move(token)), origins_(std::move(origins)) {
   std::array<char, 256> machine{};
   if (gethostname(machine.data(), machine.size() - 1) == 0) machine_ = lower(machine.data());
@@ -230,11 +232,10 @@ void ControlServer::Api::add_command_routes(ControlTarget& target) {
       [&target](const Request& request, const rt::StartTicket& ticket, std::optional<std::uint64_t> seen) {
         const Result<CheckRequest> check = read_check(request);
         if (!check) return refusal(400, check.error().message);
-        return answer_or_refuse(
-            target.start(*check, ticket, seen).map([](const StartedCheck& started) {
-              return nlohmann::ordered_json{{"check", started.check}, {"id", started.id}};
-            }),
-            409);
+        return answer_or_refuse(target.start(*check, ticket, seen).map([](const StartedCheck& started) {
+          return nlohmann::ordered_json{{"check", started.check}, {"id", started.id}};
+        }),
+                                409);
       });
   add_start("/v1/open", false,
             [&target](const Request&, const rt::StartTicket& ticket, std::optional<std::uint64_t> seen) {
@@ -459,7 +460,8 @@ int ControlServer::port() const {
 
 Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& target,
                                                             const ControlSettings& settings,
-                                                            std::span<const ScreenFile> screen, int inherited) {
+                                                            std::span<const ScreenFile> screen,
+                                                            int inherited) {
   std::string token;
   if (!settings.token_file.empty()) {
     Result<std::string> loaded = load_or_make_token(settings.token_file);

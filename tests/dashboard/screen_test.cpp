@@ -74,7 +74,8 @@ class Screen : public ::testing::Test {
 
   /// The notices come with the daemon's next look at its records, some time after the verdict.
   bool notices_say(const std::string& text) {
-    return browser_->becomes(fmt::format("document.getElementById('notices').textContent.includes('{}')", text));
+    return browser_->becomes(
+        fmt::format("document.getElementById('notices').textContent.includes('{}')", text));
   }
 
   support::TemporaryDirectory folder_;

@@ -51,8 +51,9 @@ struct Settings {
       -1;  ///< a socket that listens already; becomes ours, but whoever shares it may go on with it
   Limits limits = {};
   std::vector<PoolSize> pools = {};
-  /// Of the thread of all connections, as far as RLIMIT_NICE allows: below 0 it goes before the pools and before other
-  /// ordinary processes. It does little for each request, so that it cannot keep the processor from them for long.
+  /// Of the thread of all connections, as far as RLIMIT_NICE allows: below 0 it goes before the pools and
+  /// before other ordinary processes. It does little for each request, so that it cannot keep the processor
+  /// from them for long.
   int nice = 0;
   Fields headers = {};                                  ///< of every answer
   std::function<void(const std::string&)> report = {};  ///< what went wrong inside; from any thread

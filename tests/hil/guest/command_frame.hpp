@@ -34,8 +34,8 @@ enum class Command {
   Torque,  ///< a torque that is not zero, its first two bytes, with Enable
 };
 
-/// Reads frames until a command frame of the station asks for `wanted`. False, with errno, after 10 s without any frame or
-/// after 100,000 frames: the station also sends commands while it drives nothing.
+/// Reads frames until a command frame of the station asks for `wanted`. False, with errno, after 10 s without
+/// any frame or after 100,000 frames: the station also sends commands while it drives nothing.
 inline bool wait_for_command(int handle, Command wanted) {
   constexpr canid_t kBrakeCommand = 0x100;
   const timeval silence{.tv_sec = 10, .tv_usec = 0};

@@ -1,12 +1,13 @@
 // Clients of the station's HTTP server that no proper program would be, and a stop among them.
 //
-//   http_clients PORT crowd COUNT    keeps COUNT connections until it is killed; "ready" once all of them are there
-//   http_clients PORT stop INTERFACE asks for a stop as soon as a command frame asks for torque; "MONOTONIC REALTIME
-//                                    ANSWERED", in seconds: both clocks immediately before it connects, and the
-//                                    monotonic one when the answer, 200, is there
+//   http_clients PORT crowd COUNT    keeps COUNT connections until it is killed; "ready" once all of them are
+//   there http_clients PORT stop INTERFACE asks for a stop as soon as a command frame asks for torque;
+//   "MONOTONIC REALTIME
+//                                    ANSWERED", in seconds: both clocks immediately before it connects, and
+//                                    the monotonic one when the answer, 200, is there
 //
-// A sixth of the crowd each is silent, sends its header byte by byte, never ends its body, does not read a large
-// answer, does not read a list of results, and reads one list of results after the other.
+// A sixth of the crowd each is silent, sends its header byte by byte, never ends its body, does not read a
+// large answer, does not read a list of results, and reads one list of results after the other.
 
 #include <arpa/inet.h>
 #include <netinet/in.h>
@@ -113,15 +114,17 @@ class Crowd {
 };
 
 void stop(int port, const std::string& interface) {
-  const std::string request = "POST /v1/stop" + kHost +
-                              "Content-Type: application/json\r\nContent-Length: 2\r\nConnection: close\r\n\r\n{}";
+  const std::string request =
+      "POST /v1/stop" + kHost +
+      "Content-Type: application/json\r\nContent-Length: 2\r\nConnection: close\r\n\r\n{}";
   const std::string expected = "HTTP/1.1 200";
   std::string answer;
   std::array<char, 512> buffer;
   const sockaddr_in address = station(port);
   const int bus = open_can(interface);
   if (bus < 0) give_up(interface.c_str());
-  // What is measured is the station: nothing ordinary comes between the clocks and the request, or the answer.
+  // What is measured is the station: nothing ordinary comes between the clocks and the request, or the
+  // answer.
   const sched_param priority{.sched_priority = 10};
   if (sched_setscheduler(0, SCHED_FIFO, &priority) != 0) give_up("real-time priority");
   // Between two runs of a check no torque is asked for; a stop that came there would show nothing.
