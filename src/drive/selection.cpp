@@ -16,9 +16,6 @@ namespace {
 constexpr double kLeastTaken = 0.01;
 /// And this where what is left is good enough without it.
 constexpr double kLeastTakenBeyond = 0.05;
-/// What is good enough already asks for no further name, unless its torque makes this share of good enough:
-/// the rest of what the names before it do not quite fit is less.
-constexpr double kMuchBeyond = 0.5;
 /// However certain, an effect whose torque is less than this share of what is good enough has no name: the
 /// form of another effect, or of the friction, is hardly ever known to the last per cent.
 constexpr double kLeastOfGoodEnough = 0.15;
@@ -354,8 +351,7 @@ Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& 
                taken = square - design_.residuals(more.fit).squaredNorm();
   const bool enough = square < std::pow(model_.good_enough * variation_, 2);
   judgement.material = judgement.material && taken > (enough ? kLeastTakenBeyond : kLeastTaken) * square &&
-                       taken > least_square_ &&
-                       (!enough || taken > std::pow(kMuchBeyond * model_.good_enough * variation_, 2));
+                       taken > least_square_;
   if (added.term == DriveTerm::TorqueLag &&
       std::abs(added.lag_s) + added.settling_s < kFewRows * design_.data().sample_s)
     judgement.material = judgement.material && taken > std::pow(model_.good_enough * variation_, 2);
