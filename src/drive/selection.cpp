@@ -531,43 +531,9 @@ bool Selector::swap(TorqueModel& model) {
       }
     }
   }
-  if (TorqueModel apart = taken_apart(model); apart.ok() && apart.evidence > best.evidence + 1.0)
-    best = std::move(apart);
   if (!(best.evidence > model.evidence + 1.0)) return false;
   model = std::move(best);
   return true;
-}
-
-/// Instead of a law of friction that differs by direction, a difference of direction and a law that does not,
-/// where that is the better description. Not fitted if nothing is to be taken apart.
-TorqueModel Selector::taken_apart(const TorqueModel& model) {
-  TorqueModel best;
-  const auto differs = [](const Variant& each) {
-    return each.term == DriveTerm::FrictionAsymmetry || each.term == DriveTerm::TorqueOffset;
-  };
-  const auto is_law = [](const Variant& each) {
-    return !by_direction(each) &&
-           (each.term == DriveTerm::QuadraticDrag || each.term == DriveTerm::FrictionPower ||
-            each.term == DriveTerm::FrictionShape);
-  };
-  for (std::size_t p = 0; p < model.parts.size(); ++p) {
-    if (is_base(model.parts[p]) || !by_direction(model.parts[p])) continue;
-    const TorqueModel smaller = without(model, p);
-    if (!smaller.ok()) continue;
-    for (const Variant& difference : pool_) {
-      if (!differs(difference) || smaller.part(difference.term) != nullptr) continue;
-      const TorqueModel start = with(smaller, difference);
-      if (!start.ok()) continue;
-      for (const Variant& law : pool_) {
-        if (!is_law(law) || start.part(law.term) != nullptr) continue;
-        TorqueModel other = with(start, law);
-        if (other.ok() && (!best.ok() || other.evidence > best.evidence) &&
-            !impossible(terms_of(other), range_, model_))
-          best = std::move(other);
-      }
-    }
-  }
-  return best;
 }
 
 bool Selector::difference_is_certain(const TorqueModel& better, const TorqueModel& other) const {

@@ -88,7 +88,6 @@ class Selector {
   TorqueModel refined(TorqueModel model, DriveTerm term);
   bool drop_what_is_no_longer_needed(TorqueModel& model);
   bool swap(TorqueModel& model);
-  TorqueModel taken_apart(const TorqueModel& model);
   bool difference_is_certain(const TorqueModel& better, const TorqueModel& other) const;
   void prefer_the_constant(TorqueModel& model);
   bool rivals(const TorqueModel& best, const Variant& part, const TorqueModel& smaller,
