@@ -17,6 +17,24 @@ constexpr double kFrictionStartVariance_Nm2 = 0.05 * 0.05;
 constexpr double kFrictionLimit_Nm = 0.5;
 constexpr int kSubsteps = 4;
 
+/// One scalar update of a Kalman filter, gain * innovation and P - gain * (P's row), where the state's
+/// component m is read and a and b are the other two. Of each pair, its entry of the symmetric P.
+inline void take_reading(double reading, double variance, double& m, double& a, double& b, double& mm,
+                         double& ma, double& mb, double& aa, double& ab, double& bb) noexcept {
+  const double total = mm + variance;
+  const double gain_m = mm / total, gain_a = ma / total, gain_b = mb / total;
+  const double innovation = reading - m;
+  m += gain_m * innovation;
+  a += gain_a * innovation;
+  b += gain_b * innovation;
+  aa -= gain_a * ma;
+  ab -= gain_a * mb;
+  bb -= gain_b * mb;
+  mm -= gain_m * mm;
+  ma -= gain_m * ma;
+  mb -= gain_m * mb;
+}
+
 }  // namespace
 
 void MotionObserver::reset(const MotionState& known) noexcept {
@@ -24,39 +42,13 @@ void MotionObserver::reset(const MotionState& known) noexcept {
   covariance_ = {.pp = kPositionVariance_rad2, .vv = 100.0, .ff = kFrictionStartVariance_Nm2};
 }
 
-// The encoder's reading, then the velocity's: two scalar updates, gain * innovation and P - gain * (P's row).
 void MotionObserver::correct(double position_rad, double velocity_rad_s) noexcept {
   MotionState x = state_;
   Covariance c = covariance_;
-
-  const double position_variance = c.pp + kPositionVariance_rad2;
-  const double p_by_p = c.pp / position_variance, v_by_p = c.pv / position_variance,
-               f_by_p = c.pf / position_variance;
-  const double travel_rad = position_rad - x.position_rad;
-  x.position_rad += p_by_p * travel_rad;
-  x.velocity_rad_s += v_by_p * travel_rad;
-  x.friction_excess_Nm += f_by_p * travel_rad;
-  c.vv -= v_by_p * c.pv;
-  c.vf -= v_by_p * c.pf;
-  c.ff -= f_by_p * c.pf;
-  c.pp -= p_by_p * c.pp;
-  c.pv -= p_by_p * c.pv;
-  c.pf -= p_by_p * c.pf;
-
-  const double velocity_variance = c.vv + kVelocityVariance;
-  const double p_by_v = c.pv / velocity_variance, v_by_v = c.vv / velocity_variance,
-               f_by_v = c.vf / velocity_variance;
-  const double faster_rad_s = velocity_rad_s - x.velocity_rad_s;
-  x.position_rad += p_by_v * faster_rad_s;
-  x.velocity_rad_s += v_by_v * faster_rad_s;
-  x.friction_excess_Nm += f_by_v * faster_rad_s;
-  c.pp -= p_by_v * c.pv;
-  c.pf -= p_by_v * c.vf;
-  c.ff -= f_by_v * c.vf;
-  c.pv -= p_by_v * c.vv;
-  c.vf -= v_by_v * c.vf;
-  c.vv -= v_by_v * c.vv;
-
+  take_reading(position_rad, kPositionVariance_rad2, x.position_rad, x.velocity_rad_s, x.friction_excess_Nm,
+               c.pp, c.pv, c.pf, c.vv, c.vf, c.ff);
+  take_reading(velocity_rad_s, kVelocityVariance, x.velocity_rad_s, x.position_rad, x.friction_excess_Nm,
+               c.vv, c.pv, c.vf, c.pp, c.pf, c.ff);
   x.friction_excess_Nm = std::clamp(x.friction_excess_Nm, -kFrictionLimit_Nm, kFrictionLimit_Nm);
   state_ = x;
   covariance_ = c;
