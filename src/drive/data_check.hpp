@@ -77,6 +77,8 @@ double quantile(std::vector<double> values, double share);
 double median_of_steps(std::span<const double> time_s);
 /// The step of a reading that has one: the smallest change that is no rounding error; 0 if it never changes.
 double step_of(std::span<const double> values);
+/// How far a position goes, but for 2 % of the samples at either end.
+double travel_of(const std::vector<double>& position);
 /// Standard deviation of a reading's noise by the median of its second differences (a parabola leaves little
 /// of them).
 double noise_of(std::span<const double> values);

@@ -66,7 +66,7 @@ std::vector<double> mean_velocity(const Run& run, std::size_t rows) {
 bool moves(const Run& run) {
   if (!run.position_rad.empty()) {
     // Six deviations, or five steps of an encoder that toggles: a reading at rest goes no farther.
-    const double travel = quantile(run.position_rad, 0.98) - quantile(run.position_rad, 0.02);
+    const double travel = travel_of(run.position_rad);
     return travel > std::max(6.0 * noise_of(run.position_rad), 5.0 * step_of(run.position_rad));
   }
   // The median of a reading at rest is no farther from zero than its noise, and its sign changes.
@@ -88,7 +88,7 @@ void add_of_motion(std::vector<DataFinding>& findings, std::string name, const s
 bool check_position_rows(RunCheck& check) {
   const Run& run = check.run;
   if (run.position_rad.empty()) return false;
-  const double travel = quantile(run.position_rad, 0.98) - quantile(run.position_rad, 0.02);
+  const double travel = travel_of(run.position_rad);
   const double scatter = noise_of(run.position_rad);
   constexpr double kNotable = 0.03, kMost = 0.08;
   if (scatter < kNotable * travel || scatter < 2.0 * step_of(run.position_rad)) return false;
@@ -197,7 +197,7 @@ MotionSummary summarise_motion(const RunCheck& check) {
 void check_excitation(std::span<const MotionSummary> motions, std::span<const RunCheck> checks,
                       std::vector<DataFinding>& findings) {
   const DriveModel& model = checks.front().model;
-  std::size_t rows = 0, forward = 0, backward = 0;
+  MotionSummary all;
   double standing = 0.0, least = std::numeric_limits<double>::infinity(), greatest = 0.0, acceleration = 0.0;
   for (std::size_t r = 0; r < motions.size(); ++r) {
     const MotionSummary& motion = motions[r];
@@ -208,23 +208,23 @@ void check_excitation(std::span<const MotionSummary> motions, std::span<const Ru
           "zero and noise");
       continue;
     }
-    rows += motion.rows;
-    forward += motion.forward;
-    backward += motion.backward;
+    all.rows += motion.rows;
+    all.forward += motion.forward;
+    all.backward += motion.backward;
     standing += motion.standing_share * static_cast<double>(motion.rows);
     least = std::min(least, motion.least_speed);
     greatest = std::max(greatest, motion.greatest_speed);
     acceleration = std::max(acceleration, motion.acceleration_share);
   }
   const std::string together;
-  if (rows == 0) {
+  if (all.rows == 0) {
     findings.clear();
     return add_of_motion(
         findings, "standstill", together, 100.0, "%", DataSeverity::Stop,
         "the drive stands still in every run: its readings go no farther than their noise or "
         "their steps. Record a motion");
   }
-  const double standing_share = standing / static_cast<double>(rows);
+  const double standing_share = standing / static_cast<double>(all.rows);
   constexpr double kMostlyStanding = 0.6, kSteady = 0.1;
   if (standing_share > kMostlyStanding)
     add_of_motion(
@@ -232,15 +232,16 @@ void check_excitation(std::span<const MotionSummary> motions, std::span<const Ru
         fmt::format(
             "the drive stands still in {:.0f} % of the rows, which tell nothing of friction or inertia",
             100.0 * standing_share));
-  if (static_cast<double>(std::min(forward, backward)) < kOneWay * static_cast<double>(forward + backward))
+  if (all.one_way())
     add_of_motion(
         findings, "one-direction", together,
-        100.0 * static_cast<double>(std::max(forward, backward)) / static_cast<double>(forward + backward),
+        100.0 * static_cast<double>(std::max(all.forward, all.backward)) /
+            static_cast<double>(all.forward + all.backward),
         "%", DataSeverity::Note,
         fmt::format("the drive moves {} only. Dry friction, a constant torque and friction that differs by "
                     "direction are then the same; "
                     "record the other direction, too",
-                    forward > backward ? "forward" : "backward"));
+                    all.forward > all.backward ? "forward" : "backward"));
   else if (!model.steady && std::ranges::all_of(motions, [](const MotionSummary& each) {
              return !each.moves || each.one_way();
            }))

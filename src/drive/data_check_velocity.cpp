@@ -255,7 +255,7 @@ void check_velocity_against_position(RunCheck& check) {
   constexpr std::size_t kLeastRows = 100;
   if (run.position_rad.empty() || run.velocity_rad_s.empty() || run.size() < kLeastRows) return;
   // Nothing to compare where nothing moves.
-  const double travel = quantile(run.position_rad, 0.98) - quantile(run.position_rad, 0.02);
+  const double travel = travel_of(run.position_rad);
   if (travel < 20.0 * std::max(noise_of(run.position_rad), step_of(run.position_rad))) return;
   const std::string column =
       check.model.columns.velocity ? check.model.columns.velocity->column : "velocity_rad_s";

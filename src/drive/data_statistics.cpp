@@ -102,6 +102,10 @@ double step_of(std::span<const double> values) {
   return changes.empty() ? 0.0 : quantile(std::move(changes), 0.02);
 }
 
+double travel_of(const std::vector<double>& position) {
+  return quantile(position, 0.98) - quantile(position, 0.02);
+}
+
 double noise_of(std::span<const double> values) {
   std::vector<double> second;
   for (std::size_t i = 2; i < values.size(); ++i)

@@ -122,6 +122,15 @@ std::string_view variable_of_term(DriveTerm term) {
   }
 }
 
+bool is_effect(const Selection& selection, const Variant& part) {
+  return std::ranges::find(selection.base.parts, part) == selection.base.parts.end();
+}
+
+/// What is left is as little as the user asks for, or no more than noise.
+bool is_enough(const Remainder& rest, const DriveModel& model) {
+  return rest.share < model.good_enough || rest.is_noise();
+}
+
 /// Names that only approximate what a free function of their variable takes are withdrawn: that torque is on
 /// no list.
 void withdraw_approximations(Selector& selector, const Design& design, const DriveModel& model,
@@ -131,8 +140,7 @@ void withdraw_approximations(Selector& selector, const Design& design, const Dri
     std::vector<Variant> rest;
     std::vector<std::string> names;
     for (const Variant& part : selection.best.parts) {
-      const bool base = std::ranges::find(selection.base.parts, part) != selection.base.parts.end();
-      if (!base && variable_of_term(part.term) == variable)
+      if (is_effect(selection, part) && variable_of_term(part.term) == variable)
         names.push_back(part.name);
       else
         rest.push_back(part);
@@ -162,7 +170,7 @@ void withdraw_what_leans_on_the_rest(Selector& selector, const Design& design, c
   while (selection.best.parts.size() > selection.base.parts.size()) {
     const Remainder rest = remainder_of(design, selection.best, 0.0);
     const double left = rest.left * rest.left;
-    const bool enough = rest.share < model.good_enough || rest.is_noise();
+    const bool enough = is_enough(rest, model);
     const double share = explainable_share(design, selection.best, model);
     double least = !enough               ? kLeaning * (left - rest.noise * rest.noise)
                    : share > kStructured ? share * left
@@ -173,7 +181,7 @@ void withdraw_what_leans_on_the_rest(Selector& selector, const Design& design, c
     std::string weakest;
     for (std::size_t p = 0; p < selection.best.parts.size(); ++p) {
       const Variant& part = selection.best.parts[p];
-      if (std::ranges::find(selection.base.parts, part) != selection.base.parts.end()) continue;
+      if (!is_effect(selection, part)) continue;
       TorqueModel smaller = selector.without(selection.best, p);
       if (!smaller.ok()) continue;
       const double taken = square_left(smaller) - left;
@@ -205,13 +213,13 @@ void withdraw_what_takes_the_inertia(Selector& selector, const Design& design, c
   while (selection.best.parts.size() > selection.base.parts.size()) {
     const double inertia = inertia_of(selector, selection.best);
     const Remainder rest = remainder_of(design, selection.best, std::max(0.0, inertia));
-    const bool enough = rest.share < model.good_enough || rest.is_noise();
+    const bool enough = is_enough(rest, model);
     std::optional<TorqueModel> without_thief;
     std::string thief;
     double most = 0.0;
     for (std::size_t p = 0; p < selection.best.parts.size(); ++p) {
       const Variant& part = selection.best.parts[p];
-      if (std::ranges::find(selection.base.parts, part) != selection.base.parts.end()) continue;
+      if (!is_effect(selection, part)) continue;
       TorqueModel smaller = selector.without(selection.best, p);
       if (!smaller.ok()) continue;
       const double before = inertia_of(selector, smaller);
@@ -230,7 +238,7 @@ void withdraw_what_takes_the_inertia(Selector& selector, const Design& design, c
 std::vector<Variant> effects_of(const Selection& selection) {
   std::vector<Variant> effects;
   for (const Variant& part : selection.best.parts)
-    if (std::ranges::find(selection.base.parts, part) == selection.base.parts.end()) effects.push_back(part);
+    if (is_effect(selection, part)) effects.push_back(part);
   return effects;
 }
 

@@ -236,9 +236,15 @@ void center_held(std::vector<double>& torque) {
   for (std::size_t i = torque.size() - 1; i > 0; --i) torque[i] = 0.5 * (torque[i] + torque[i - 1]);
 }
 
-/// Averages of `count` samples each.
-Run averaged(Run run, std::size_t count) {
-  if (count <= 1) return run;
+/// Averages of `count` samples each, of a torque that is a held command around each recorded sample.
+Run averaged(const Run& run, std::size_t count, bool torque_held) {
+  std::vector<double> torque = run.torque_Nm;
+  if (torque_held) center_held(torque);
+  if (count <= 1) {
+    Run result = run;
+    result.torque_Nm = std::move(torque);
+    return result;
+  }
   const auto means = [&](const std::vector<double>& values) {
     std::vector<double> result;
     result.reserve(values.size() / count + 1);
@@ -251,7 +257,7 @@ Run averaged(Run run, std::size_t count) {
   Run result;
   result.name = run.name;
   result.time_s = means(run.time_s);
-  result.torque_Nm = means(run.torque_Nm);
+  result.torque_Nm = means(torque);
   result.position_rad = means(run.position_rad);
   result.velocity_rad_s = means(run.velocity_rad_s);
   result.drive_enabled = means(run.drive_enabled);
@@ -453,9 +459,7 @@ DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const 
     const double here_Hz = std::min(cut_off_Hz, kHighestCutOff / step_s);
     const auto together =
         static_cast<std::size_t>(std::max(1.0, kRowsPerCutOff / here_Hz / step_s / kSamplesPerRow));
-    Run centred = run;
-    if (model.torque_held) center_held(centred.torque_Nm);
-    DriveRows rows = rows_of(averaged(std::move(centred), together), here_Hz, data, seconds);
+    DriveRows rows = rows_of(averaged(run, together, model.torque_held), here_Hz, data, seconds);
     rows.run = static_cast<int>(r);
     rows.heldout = r >= heldout_from;
     const auto size = static_cast<double>(rows.size());
