@@ -1,10 +1,11 @@
 // Clients of the station's HTTP server that no proper program would be, and a stop among them.
 //
-//   http_clients PORT crowd COUNT    keeps COUNT connections until it is killed; "ready" once all of them are
-//   there http_clients PORT stop INTERFACE asks for a stop as soon as a command frame asks for torque;
-//   "MONOTONIC REALTIME
-//                                    ANSWERED", in seconds: both clocks immediately before it connects, and
-//                                    the monotonic one when the answer, 200, is there
+//   http_clients PORT crowd COUNT
+//       keeps COUNT connections until it is killed; "ready" once all of them are there
+//   http_clients PORT stop INTERFACE
+//       asks for a stop as soon as a command frame asks for torque; "MONOTONIC REALTIME ANSWERED", in
+//       seconds: both clocks immediately before it connects, and the monotonic one when the answer, 200, is
+//       there
 //
 // A sixth of the crowd each is silent, sends its header byte by byte, never ends its body, does not read a
 // large answer, does not read a list of results, and reads one list of results after the other.
