@@ -11,10 +11,10 @@
 
 #include <fmt/format.h>
 
+#include "clampd/base/table_reader.hpp"
 #include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/text.hpp"
-#include "src/station/table_reader.hpp"
 
 namespace clampd {
 namespace {
@@ -459,6 +459,9 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
           [&](TableReader& reader, const toml::table&) { reader.path("brake", model_file, folder); });
   section("limits", [&](TableReader& reader, const toml::table&) {
     reader.path("file", configuration.limits_file, folder);
+  });
+  section("sheet", [&](TableReader& reader, const toml::table&) {
+    reader.path("file", configuration.sheet_file, folder);
   });
   section("archive", [&](TableReader& reader, const toml::table&) {
     reader.path("database", configuration.database, folder);

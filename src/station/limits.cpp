@@ -7,9 +7,9 @@
 
 #include <fmt/format.h>
 
+#include "clampd/base/table_reader.hpp"
 #include "clampd/record/checksum.hpp"
 #include "clampd/record/file.hpp"
-#include "src/station/table_reader.hpp"
 
 namespace clampd {
 namespace {

@@ -1,4 +1,4 @@
-#include "src/station/table_reader.hpp"
+#include "clampd/base/table_reader.hpp"
 
 #include <algorithm>
 #include <cctype>
