@@ -106,6 +106,10 @@ void test_mean(const Eigen::MatrixXd& columns, SystematicMisfit& misfit) {
 
 }  // namespace
 
+double SystematicMisfit::moved_sd(const ParameterVector& sd_normalised) const {
+  return covariance_normalised.diagonal().cwiseMax(0.0).cwiseSqrt().cwiseQuotient(sd_normalised).maxCoeff();
+}
+
 SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint, ResidualKind kind) {
   SystematicMisfit misfit;
   if (runs.size() < kFewestRepeats || !joint.converged() || !joint.effects.empty() ||

@@ -237,9 +237,10 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"brake", {"parameters", "record", "base"}},
       {"identify", {"brake", "parameters", "record", "statistics", "base"}},
       {"experiment", {"control", "identify", "brake", "parameters", "record", "statistics", "base"}},
+      {"sheet", {"experiment", "control", "identify", "brake", "parameters", "record", "statistics", "base"}},
       {"diagnose", {"experiment", "identify", "brake", "parameters", "record", "statistics", "base"}},
       {"drive", {"diagnose", "statistics", "record", "base"}},
-      {"station", {"diagnose", "identify", "brake", "parameters", "ports", "record", "statistics", "base"}},
+      {"station", {"diagnose", "sheet", "identify", "brake", "parameters", "ports", "record", "statistics", "base"}},
       {"archive", {"record", "base"}},
       {"publish", {"archive", "record", "base"}},
       {"line", {"archive", "station", "record", "statistics", "base"}},
@@ -250,7 +251,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"drivers/sim", {"parameters", "ports", "record", "base"}},
       {"simulation", {"rt", "drivers/can", "drivers/sim", "experiment", "brake", "parameters", "record", "base"}},
       {"bench",
-       {"simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "publish", "archive", "station", "experiment", "identify",
+       {"simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "publish", "archive", "station", "sheet", "experiment", "identify",
         "brake", "record", "base"}},
       {"http", {"base"}},
       {"api", {"http", "rt", "archive", "station", "record", "base"}},
@@ -262,7 +263,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"tools/clampd", {"tools/dashboard", "tools/cli", "daemon", "api", "bench", "drivers/gpio", "base"}},
       {"tools/clampctl",
        {"tools/reproduce", "tools/cli", "api", "bench", "simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "views", "line",
-        "archive", "station", "drive", "diagnose", "experiment", "identify", "brake", "parameters", "record", "base"}},
+        "archive", "station", "sheet", "drive", "diagnose", "experiment", "identify", "brake", "parameters", "record", "base"}},
   };
   return kArrows;
 }

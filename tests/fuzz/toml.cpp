@@ -8,6 +8,7 @@
 #include "clampd/base/assert.hpp"
 #include "clampd/brake/extended_brake.hpp"
 #include "clampd/drive/model.hpp"
+#include "clampd/sheet/sheet.hpp"
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"
 #include "drivers/sim/plant_configuration.hpp"
@@ -42,6 +43,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
           CLAMPD_ASSERT(interval.lower < interval.upper && std::isfinite(interval.upper - interval.lower));
         CLAMPD_ASSERT(changes_between(*limits, *limits).empty());
       }
+      if (const auto sheet = parse_sheet(text, file); taken(sheet))
+        for (const Characteristic& line : sheet->characteristics) CLAMPD_ASSERT(line.lower < line.upper);
       break;
     case 2:
       if (const auto brake = parse_brake_parameters(text, file); taken(brake))

@@ -22,6 +22,12 @@ struct SystematicMisfit {
   ParameterMatrix covariance_normalised = ParameterMatrix::Zero();
 
   bool is_significant() const { return can_tell && p_value < kSystematic; }
+  /// The most that it may move a parameter, over the standard deviation of theta / theta_nom without it.
+  double moved_sd(const ParameterVector& sd_normalised) const;
+  /// Whether its covariance is added to that of the estimate: significant, and more than those deviations.
+  bool counts(const ParameterVector& sd_normalised) const {
+    return is_significant() && moved_sd(sd_normalised) > 1.0;
+  }
 };
 
 /// How the residuals of the estimate come about.

@@ -206,6 +206,7 @@ struct StationConfiguration {
   ValiditySettings validity;
   BrakeParameters model;    ///< the nominal brake
   std::string limits_file;  ///< empty: the limits that ship with the station
+  std::string sheet_file;   ///< what else is asked of a brake; empty: nothing
   std::string database;     ///< SQLite file of the results
   ControlSettings control;
   GpioSettings gpio;

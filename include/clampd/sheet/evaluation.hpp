@@ -1,0 +1,47 @@
+#pragma once
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include "clampd/identify/estimate.hpp"
+#include "clampd/parameters/brake_parameters.hpp"
+#include "clampd/sheet/sheet.hpp"
+
+namespace clampd {
+
+/// What is known of a brake when its runs have been identified.
+struct Posterior {
+  BrakeParameters parameters;  ///< NaN: not identifiable
+  /// Of theta / theta_nom: what the identification reports, and all that is added to it (tare, misfit).
+  ParameterMatrix covariance_normalised = ParameterMatrix::Zero();
+  std::string unknown;  ///< why nothing is known; empty: something is
+};
+
+/// Of an estimate; `added_normalised` counts beside its own covariance. Nothing is known without
+/// convergence, unless single parameters are not identifiable; and nothing of a brake with effects beside
+/// the base model, which no characteristic counts.
+Posterior posterior_of(const Estimate& estimate,
+                       const ParameterMatrix& added_normalised = ParameterMatrix::Zero());
+
+struct CharacteristicEstimate {
+  enum class State {
+    Known,
+    NotReached,  ///< this brake never gets there, whatever its parameters are within their uncertainty
+    Unknown,
+  };
+  State state = State::Unknown;
+  double value = 0.0;  ///< in the kind's unit; NaN unless known
+  double sd = 0.0;
+  std::string why;  ///< why it is not known; empty if it is
+};
+
+/// One for each characteristic, by propagation of the posterior: the value at the estimate, the standard
+/// deviation from the second-order terms of the pairs of points one standard deviation to either side along
+/// the principal axes of what the kind needs (Julier and Uhlmann's sigma points, in central differences:
+/// Norgaard, Poulsen and Ravn, New developments in state estimation for nonlinear systems, 2000). Nothing is
+/// drawn: the same posterior gives the same sheet. The 95 % interval is the value ± 1.96 sd.
+std::vector<CharacteristicEstimate> evaluate(std::span<const Characteristic> characteristics,
+                                             const Posterior& posterior, const BrakeParameters& nominal);
+
+}  // namespace clampd

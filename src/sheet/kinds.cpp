@@ -1,0 +1,144 @@
+#include <cmath>
+#include <limits>
+
+#include "clampd/brake/dynamics.hpp"
+#include "clampd/sheet/sheet.hpp"
+#include "src/sheet/response.hpp"
+
+namespace clampd {
+namespace {
+
+/// (3): dF/dx where this brake has the force.
+std::optional<double> stiffness_N_rad(const BrakeParameters& parameters, const Circumstances& at,
+                                      const BrakeParameters&) {
+  const PaperBrake brake = paper_brake(parameters);
+  const std::optional<double> x = position_of_force(brake, at.force_N);
+  if (!x) return std::nullopt;
+  double ignored[PolynomialStiffness::kParameters];
+  return brake.stiffness().evaluate(*x, ignored).slope_N_rad;
+}
+
+/// (4): what turns the motor in the clearance.
+std::optional<double> drag_Nm(const BrakeParameters& parameters, const Circumstances& at,
+                              const BrakeParameters&) {
+  return paper_brake(parameters).friction().sliding_Nm(0.0, at.speed_rad_s, 1.0);
+}
+
+/// N F + Tf applying less N F - Tf releasing.
+std::optional<double> hysteresis_Nm(const BrakeParameters& parameters, const Circumstances& at,
+                                    const BrakeParameters&) {
+  return 2.0 * paper_brake(parameters).friction().sliding_Nm(at.force_N, at.speed_rad_s, 1.0);
+}
+
+/// (5): what static friction could hold beyond the load's torque.
+std::optional<double> holding_margin_Nm(const BrakeParameters& parameters, const Circumstances& at,
+                                        const BrakeParameters&) {
+  return paper_brake(parameters).friction().holding_Nm(at.force_N) -
+         parameters.fixed.ratio_m_rad * at.force_N;
+}
+
+/// From standstill there: load and static friction.
+std::optional<double> least_torque_Nm(const BrakeParameters& parameters, const Circumstances& at,
+                                      const BrakeParameters&) {
+  return paper_brake(parameters).friction().holding_Nm(at.force_N) +
+         parameters.fixed.ratio_m_rad * at.force_N;
+}
+
+std::optional<double> apply_time_s(const BrakeParameters& parameters, const Circumstances& at,
+                                   const BrakeParameters& nominal) {
+  const PaperBrake brake = paper_brake(parameters);
+  const std::optional<double> set_point = position_of_force(brake, at.force_N);
+  if (!set_point) return std::nullopt;
+  return move_time_s(brake,
+                     {.from_rad = -at.clearance_rad,
+                      .to_rad = *set_point,
+                      .level_rad = position_of_force(brake, at.share * at.force_N).value(),
+                      .torque_limit_Nm = at.torque_limit_Nm,
+                      .speed_limit_rad_s = at.speed_limit_rad_s},
+                     nominal);
+}
+
+std::optional<double> release_time_s(const BrakeParameters& parameters, const Circumstances& at,
+                                     const BrakeParameters& nominal) {
+  const PaperBrake brake = paper_brake(parameters);
+  const std::optional<double> set_point = position_of_force(brake, at.force_N);
+  if (!set_point) return std::nullopt;
+  return move_time_s(brake,
+                     {.from_rad = *set_point,
+                      .to_rad = -at.clearance_rad,
+                      .level_rad = position_of_force(brake, at.share * at.force_N).value(),
+                      .torque_limit_Nm = at.torque_limit_Nm,
+                      .speed_limit_rad_s = at.speed_limit_rad_s},
+                     nominal);
+}
+
+// Forces end where the loop's own limit of 29 kN would hold it back; shares where the law's approach to its
+// target is still a motion and no creeping.
+constexpr CircumstanceInfo kForce{"force_N", &Circumstances::force_N, 500.0, 27e3, true};
+constexpr CircumstanceInfo kSpeed{"speed_rad_s", &Circumstances::speed_rad_s, 0.1, 300.0, true};
+constexpr CircumstanceInfo kApplied{"share", &Circumstances::share, 0.05, 0.95, true};
+constexpr CircumstanceInfo kReleased{"share", &Circumstances::share, 0.0, 0.95, true};
+constexpr CircumstanceInfo kStart{"clearance_rad", &Circumstances::clearance_rad, 0.0, 25.0, true};
+constexpr CircumstanceInfo kOpen{"clearance_rad", &Circumstances::clearance_rad, 0.5, 25.0, true};
+constexpr CircumstanceInfo kTorqueLimit{"torque_limit_Nm", &Circumstances::torque_limit_Nm, 0.5, 3.0, false};
+constexpr CircumstanceInfo kSpeedLimit{"speed_limit_rad_s", &Circumstances::speed_limit_rad_s, 20.0, 270.0,
+                                       false};
+
+}  // namespace
+
+std::span<const CharacteristicKind> characteristic_kinds() {
+  static const std::vector<CharacteristicKind> kKinds{
+      {"apply-time",
+       "s",
+       "from the command until the force reaches a share of its set point",
+       {kForce, kApplied, kStart, kTorqueLimit, kSpeedLimit},
+       {k1, k2, TC, Ts0, Tv, mus, ws},
+       1e-3,
+       3.0,
+       apply_time_s},
+      {"release-time",
+       "s",
+       "from the command until the force has fallen to a share of its set point",
+       {kForce, kReleased, kOpen, kTorqueLimit, kSpeedLimit},
+       {k1, k2, TC, Ts0, Tv, mus, ws},
+       1e-3,
+       3.0,
+       release_time_s},
+      {"drag",
+       "N m",
+       "torque that turns the motor in the clearance",
+       {kSpeed},
+       {TC, Ts0, Tv, ws},
+       0.0,
+       3.0,
+       drag_Nm},
+      {"hysteresis",
+       "N m",
+       "torque when applying less that when releasing, at one force and speed",
+       {kForce, kSpeed},
+       {TC, Ts0, Tv, mus, ws},
+       0.0,
+       6.0,
+       hysteresis_Nm},
+      {"holding-margin",
+       "N m",
+       "static friction less the load's torque, without current",
+       {kForce},
+       {Ts0, mus},
+       -3.0,
+       3.0,
+       holding_margin_Nm},
+      {"least-torque",
+       "N m",
+       "torque that reaches the force from standstill",
+       {kForce},
+       {Ts0, mus},
+       0.0,
+       3.0,
+       least_torque_Nm},
+      {"stiffness", "N/rad", "force over motor angle", {kForce}, {k1, k2}, 1.0, 1e5, stiffness_N_rad},
+  };
+  return kKinds;
+}
+
+}  // namespace clampd

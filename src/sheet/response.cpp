@@ -1,0 +1,81 @@
+#include "src/sheet/response.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "clampd/base/clock.hpp"
+#include "clampd/brake/integrator.hpp"
+#include "clampd/control/control_law.hpp"
+#include "clampd/experiment/reference.hpp"
+
+namespace clampd {
+namespace {
+
+constexpr int kHalvings = 60;
+
+/// What the station's loop makes of a state that it knows.
+double commanded_Nm(const PaperBrake& brake, const BrakeState& state, const Move& move,
+                    const NominalDrive& drive) {
+  const double force_N = brake.stiffness().force_N(state[0]);
+  const double speed_rad_s = std::abs(state[1]);
+  // The observer takes the viscous friction for nominal: what is more counts as excess like the rest.
+  const double nominal_Nm =
+      drive.dry_friction_Nm(speed_rad_s, force_N) + drive.viscous_Nm_s_rad * speed_rad_s;
+  const MotionState motion{
+      .position_rad = state[0],
+      .velocity_rad_s = state[1],
+      .friction_excess_Nm = brake.friction().sliding_Nm(force_N, speed_rad_s, 1.0) - nominal_Nm};
+  const StiffnessCurve stiffness{brake.stiffness().cubic_N_rad3, brake.stiffness().quadratic_N_rad2};
+  const ControlLimits limits{.torque_Nm = move.torque_limit_Nm};
+  return limited_torque_Nm(move_torque_Nm(move.to_rad, move.speed_limit_rad_s, drive, motion, force_N),
+                           limits, drive, state[1], force_N, stiffness.slope_N_rad(state[0]));
+}
+
+}  // namespace
+
+double passing_share(const BrakeState& before, const BrakeState& after, double level_rad, double period_s) {
+  const double direction = after[0] > before[0] ? 1.0 : -1.0;
+  const auto position_rad = [&](double s) {
+    const double t = 1.0 - s;
+    return t * t * ((1.0 + 2.0 * s) * before[0] + s * period_s * before[1]) +
+           s * s * ((1.0 + 2.0 * t) * after[0] - t * period_s * after[1]);
+  };
+  double low = 0.0, high = 1.0;
+  for (int i = 0; i < kHalvings; ++i) {
+    const double middle = 0.5 * (low + high);
+    (direction * (position_rad(middle) - level_rad) < 0.0 ? low : high) = middle;
+  }
+  return 0.5 * (low + high);
+}
+
+std::optional<double> move_time_s(const PaperBrake& brake, const Move& move, const BrakeParameters& nominal) {
+  const NominalDrive drive = nominal_drive(nominal);
+  const double direction = move.to_rad > move.from_rad ? 1.0 : -1.0;
+  BrakeState state(move.from_rad, 0.0);
+  for (int k = 0; k * kPeriod_s < kLongestMove_s; ++k) {
+    const BrakeState next = advance(brake, state, commanded_Nm(brake, state, move, drive), kPeriod_s);
+    if (!is_bounded(next)) return std::nullopt;
+    if (direction * (next[0] - move.level_rad) >= 0.0)
+      return (k + passing_share(state, next, move.level_rad, kPeriod_s)) * kPeriod_s;
+    state = next;
+  }
+  return std::nullopt;
+}
+
+std::optional<double> position_of_force(const PaperBrake& brake, double force_N) {
+  if (force_N <= 0.0) return 0.0;
+  const PolynomialStiffness& stiffness = brake.stiffness();
+  // Where the polynomial turns over, it has its most; without that, it grows beyond any force.
+  double high = stiffness.cubic_N_rad3 < 0.0
+                    ? -2.0 * stiffness.quadratic_N_rad2 / (3.0 * stiffness.cubic_N_rad3)
+                    : std::sqrt(force_N / stiffness.quadratic_N_rad2);
+  if (!(stiffness.force_N(high) >= force_N)) return std::nullopt;
+  double low = 0.0;
+  for (int i = 0; i < kHalvings; ++i) {
+    const double middle = 0.5 * (low + high);
+    (stiffness.force_N(middle) < force_N ? low : high) = middle;
+  }
+  return 0.5 * (low + high);
+}
+
+}  // namespace clampd

@@ -1,0 +1,136 @@
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "clampd/base/table_reader.hpp"
+#include "clampd/record/checksum.hpp"
+#include "clampd/record/file.hpp"
+#include "clampd/sheet/sheet.hpp"
+
+namespace clampd {
+namespace {
+
+constexpr double kNoLimit = std::numeric_limits<double>::infinity();
+
+const CharacteristicKind* kind_named(std::string_view name) {
+  for (const CharacteristicKind& kind : characteristic_kinds())
+    if (kind.name == name) return &kind;
+  return nullptr;
+}
+
+/// "apply-time at force_N 20000, share 0.9, clearance_rad 6": what was written, in the file's own words.
+std::string name_of(const Characteristic& line, const toml::table& table) {
+  std::string name(line.kind->name);
+  bool first = true;
+  for (const CircumstanceInfo& info : line.kind->circumstances) {
+    if (!table.contains(info.key)) continue;
+    name += fmt::format("{}{} {:g}", first ? " at " : ", ", info.key, line.circumstances.*info.member);
+    first = false;
+  }
+  return name;
+}
+
+/// Kind and unit, by which everything else is read; nothing after an error.
+const CharacteristicKind* read_kind(TableReader& reader, const toml::table& table) {
+  std::string name, unit;
+  reader.text("kind", name);
+  reader.text("unit", unit);
+  const CharacteristicKind* kind = kind_named(name);
+  if (kind == nullptr) {
+    std::vector<std::string_view> known;
+    for (const CharacteristicKind& each : characteristic_kinds()) known.push_back(each.name);
+    const toml::node* node = table.get("kind");
+    reader.refuse(node ? node->source() : table.source(),
+                  fmt::format("{}; known are {}",
+                              node ? fmt::format("unknown kind {}", name) : "a characteristic needs a kind",
+                              fmt::join(known, ", ")));
+    return nullptr;
+  }
+  if (unit == kind->unit) return kind;
+  const toml::node* node = table.get("unit");
+  reader.refuse(node ? node->source() : table.source(),
+                node ? fmt::format("{} is in {}, not in {}: convert its limits and write unit = \"{}\"",
+                                   kind->name, kind->unit, unit, kind->unit)
+                     : fmt::format("{} needs unit = \"{}\", so that its limits are meant in that", kind->name,
+                                   kind->unit));
+  return nullptr;
+}
+
+void read_limits_of(TableReader& reader, const toml::table& table, Characteristic& line) {
+  const auto limit = [&](std::string_view key, double& target) {
+    reader.number(key, target, -kNoLimit, kNoLimit);
+    if (!std::isfinite(target) || (target >= line.kind->least && target <= line.kind->most)) return;
+    reader.refuse(
+        table.get(key)->source(),
+        fmt::format("{} = {} {} cannot be meant: a {} is between {} and {} {}", key, target, line.kind->unit,
+                    line.kind->name, line.kind->least, line.kind->most, line.kind->unit));
+  };
+  limit("lower", line.lower);
+  limit("upper", line.upper);
+  if (!(line.lower < line.upper))
+    reader.refuse(table.source(),
+                  fmt::format("lower {} must be below upper {}: exchange them, or leave one out", line.lower,
+                              line.upper));
+}
+
+void read_characteristic(const toml::table& table, const std::string& path, std::optional<Error>& error,
+                         std::vector<Characteristic>& lines) {
+  TableReader reader(table, "characteristic", path, error);
+  Characteristic line{
+      .name = {}, .kind = nullptr, .circumstances = {}, .lower = -kNoLimit, .upper = kNoLimit};
+  reader.text("name", line.name, 80);
+  line.kind = read_kind(reader, table);
+  if (line.kind == nullptr || error) return;
+  for (const CircumstanceInfo& info : line.kind->circumstances) {
+    reader.number(info.key, line.circumstances.*info.member, info.lower, info.upper);
+    if (info.required && !reader.has(info.key))
+      reader.refuse(table.source(), fmt::format("{} needs {}, between {} and {}", line.kind->name, info.key,
+                                                info.lower, info.upper));
+  }
+  read_limits_of(reader, table, line);
+  reader.finish();
+  if (error) return;
+  if (line.name.empty()) line.name = name_of(line, table);
+  if (std::any_of(lines.begin(), lines.end(),
+                  [&](const Characteristic& other) { return other.name == line.name; }))
+    reader.refuse(table.source(), fmt::format("{} is there twice: give one of them another name", line.name));
+  lines.push_back(std::move(line));
+}
+
+}  // namespace
+
+bool Characteristic::has_limits() const {
+  return std::isfinite(lower) || std::isfinite(upper);
+}
+
+Result<Sheet> parse_sheet(const std::string& text, const std::string& path) {
+  const Result<toml::table> parsed = parse_toml(text, path);
+  if (!parsed) return tl::unexpected(parsed.error());
+  std::optional<Error> error;
+  TableReader document(*parsed, "", path, error);
+  Sheet sheet;
+  sheet.file = path;
+  sheet.sha256 = sha256_hex(text);
+  document.text("revision", sheet.revision);
+  document.text("author", sheet.author);
+  document.date("changed", sheet.changed);
+  if (const toml::array* tables = document.array_of_tables("characteristic"))
+    for (const toml::node& node : *tables)
+      if (!error) read_characteristic(*node.as_table(), path, error, sheet.characteristics);
+  document.finish();
+  if (error) return tl::unexpected(*error);
+  if (sheet.revision.empty()) return failure(fmt::format("{}: no revision; every record names it", path));
+  if (sheet.characteristics.empty())
+    return failure(fmt::format("{}: asks for nothing; add a [[characteristic]]", path));
+  return sheet;
+}
+
+Result<Sheet> read_sheet(const std::string& path) {
+  return read_file(path).and_then([&](const std::string& text) { return parse_sheet(text, path); });
+}
+
+}  // namespace clampd

@@ -1,0 +1,203 @@
+#include "clampd/sheet/evaluation.hpp"
+
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "clampd/brake/integrator.hpp"
+#include "src/sheet/response.hpp"
+
+namespace clampd {
+namespace {
+
+using State = CharacteristicEstimate::State;
+using ::testing::HasSubstr;
+
+constexpr double kNoLimit = std::numeric_limits<double>::infinity();
+
+Characteristic line(std::string_view kind, const Circumstances& at) {
+  for (const CharacteristicKind& each : characteristic_kinds())
+    if (each.name == kind) return {std::string(kind), &each, at, -kNoLimit, kNoLimit};
+  ADD_FAILURE() << kind;
+  return {};
+}
+
+double value_of(std::string_view kind, const Circumstances& at, const BrakeParameters& brake = {}) {
+  return line(kind, at).kind->value(brake, at, {}).value();
+}
+
+/// Known to 2 %, each by itself; k1 and k2 together, as they are.
+Posterior good_posterior() {
+  Posterior posterior;
+  posterior.covariance_normalised = 4e-4 * ParameterMatrix::Identity();
+  posterior.covariance_normalised(k1, k2) = posterior.covariance_normalised(k2, k1) = 3.9e-4;
+  return posterior;
+}
+
+CharacteristicEstimate evaluate_one(std::string_view kind, const Circumstances& at,
+                                    const Posterior& posterior) {
+  const Characteristic lines[] = {line(kind, at)};
+  return evaluate(lines, posterior, {}).front();
+}
+
+const Circumstances kAt{.force_N = 20e3, .share = 0.9, .speed_rad_s = 50.0, .clearance_rad = 6.0};
+
+// Table I by hand: Ts = 4.68e-2 + 3.55e-5 * 20e3 = 0.7568 N m, N F = 0.526 N m.
+TEST(SheetClosedForms, AreThoseOfThePaper) {
+  EXPECT_NEAR(value_of("holding-margin", kAt), 0.2308, 1e-12);
+  EXPECT_NEAR(value_of("least-torque", kAt), 1.2828, 1e-12);
+  // 7.67e-2 + (4.68e-2 - 7.67e-2) / (1 + (50/28.9)^2) + 4.46e-4 * 50
+  EXPECT_NEAR(value_of("drag", kAt), 0.0767 - 0.0299 / (1.0 + 2500.0 / 835.21) + 0.0223, 1e-12);
+  // 2 (0.0767 + (0.7568 - 0.0767) / (1 + (50/28.9)^2) + 0.0223)
+  EXPECT_NEAR(value_of("hysteresis", kAt), 2.0 * (0.0767 + 0.6801 / (1.0 + 2500.0 / 835.21) + 0.0223), 1e-12);
+  // 35.2 x^2 - 0.354 x^3 = 20e3 at x = 27.9366..., found by Newton's method on paper
+  double x = 28.0;
+  for (int i = 0; i < 20; ++i) x -= (35.2 * x * x - 0.354 * x * x * x - 20e3) / (70.4 * x - 1.062 * x * x);
+  EXPECT_NEAR(value_of("stiffness", kAt), 70.4 * x - 1.062 * x * x, 1e-8);
+}
+
+TEST(SheetResponse, ABrakeWithoutLoadMovesAsFastAsTheDriveAllows) {
+  // Nearly no friction, no force: constant acceleration by 3 N m until the speed limit fades the torque.
+  BrakeParameters brake;
+  brake.theta << 0.0, 0.1, 1e-4, 1e-4, 1e-7, 1e-8, 30.0;
+  const Move move{.from_rad = -6.0, .to_rad = 0.0, .level_rad = -5.0};
+  const double acceleration = (3.0 - 1e-4) / 2.91e-4;
+  EXPECT_NEAR(*move_time_s(paper_brake(brake), move, {}), std::sqrt(2.0 / acceleration), 1e-6);
+}
+
+TEST(SheetResponse, NeedsMoreTimeForMoreAndOnALowSupply) {
+  Circumstances half = kAt, low = kAt, far = kAt;
+  half.share = 0.5;
+  low.torque_limit_Nm = 1.5;
+  far.clearance_rad = 12.0;
+  const double time = value_of("apply-time", kAt);
+  EXPECT_GT(time, 0.08);
+  EXPECT_LT(time, 0.2);
+  EXPECT_LT(value_of("apply-time", half), time);
+  EXPECT_GT(value_of("apply-time", low), 1.05 * time);
+  EXPECT_GT(value_of("apply-time", far), time + 0.02);
+  BrakeParameters soft;
+  soft.theta[k2] *= 0.85;
+  EXPECT_GT(value_of("apply-time", kAt, soft), time);
+}
+
+TEST(SheetResponse, PassesALevelWithinThePeriod) {
+  // x = 1 + 2 t + 3 t^2 - t^3 over one second, exactly what the cubic is.
+  EXPECT_NEAR(passing_share({1.0, 2.0}, {5.0, 5.0}, 1.0 + 2.0 * 0.3 + 3.0 * 0.09 - 0.027, 1.0), 0.3, 1e-12);
+  EXPECT_NEAR(passing_share({5.0, -5.0}, {1.0, -2.0}, 1.0 + 2.0 * 0.3 + 3.0 * 0.09 - 0.027, 1.0), 0.7, 1e-12);
+}
+
+TEST(SheetEvaluation, PropagatesALinearCharacteristicExactly) {
+  Posterior posterior = good_posterior();
+  posterior.covariance_normalised(Ts0, mus) = posterior.covariance_normalised(mus, Ts0) = -3e-4;
+  const CharacteristicEstimate margin = evaluate_one("holding-margin", kAt, posterior);
+  ASSERT_EQ(margin.state, State::Known);
+  EXPECT_NEAR(margin.value, 0.2308, 1e-12);
+  const double a = 4.68e-2, b = 0.71;  // d margin / d normalised
+  EXPECT_NEAR(margin.sd, std::sqrt(4e-4 * (a * a + b * b) - 2.0 * 3e-4 * a * b), 1e-12);
+}
+
+TEST(SheetEvaluation, AgreesWithDrawsFromThePosterior) {
+  const Posterior posterior = good_posterior();
+  const Eigen::LLT<ParameterMatrix> root(posterior.covariance_normalised);
+  std::mt19937_64 random(7);
+  std::normal_distribution<double> normal;
+  constexpr int kDraws = 2000;
+  for (const CharacteristicKind& kind : characteristic_kinds()) {
+    const CharacteristicEstimate estimate = evaluate_one(kind.name, kAt, posterior);
+    ASSERT_EQ(estimate.state, State::Known) << kind.name;
+    double sum = 0.0, squares = 0.0;
+    for (int i = 0; i < kDraws; ++i) {
+      ParameterVector z;
+      for (double& each : z) each = normal(random);
+      BrakeParameters brake;
+      brake.theta += nominal_parameters().asDiagonal() * (root.matrixL() * z);
+      const double value = kind.value(brake, kAt, {}).value();
+      sum += value;
+      squares += value * value;
+    }
+    const double mean = sum / kDraws, sd = std::sqrt(squares / kDraws - mean * mean);
+    EXPECT_NEAR(estimate.sd / sd, 1.0, 0.07) << kind.name;  // four deviations of sd from so many draws
+    EXPECT_NEAR(estimate.value, mean, 0.2 * sd) << kind.name;
+  }
+}
+
+TEST(SheetEvaluation, IsTheSameAgain) {
+  for (const CharacteristicKind& kind : characteristic_kinds()) {
+    const CharacteristicEstimate once = evaluate_one(kind.name, kAt, good_posterior());
+    const CharacteristicEstimate again = evaluate_one(kind.name, kAt, good_posterior());
+    EXPECT_EQ(once.value, again.value);
+    EXPECT_EQ(once.sd, again.sd);
+  }
+}
+
+TEST(SheetEvaluation, WhatNeedsAnUnknownParameterIsNotKnown) {
+  constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+  Posterior posterior = good_posterior();
+  posterior.parameters.theta[Tv] = kNaN;
+  posterior.covariance_normalised.row(Tv).setConstant(kNaN);
+  posterior.covariance_normalised.col(Tv).setConstant(kNaN);
+  for (const CharacteristicKind& kind : characteristic_kinds()) {
+    const bool needs = std::find(kind.needs.begin(), kind.needs.end(), Tv) != kind.needs.end();
+    const CharacteristicEstimate estimate = evaluate_one(kind.name, kAt, posterior);
+    EXPECT_EQ(estimate.state, needs ? State::Unknown : State::Known) << kind.name;
+    if (needs) {
+      EXPECT_TRUE(std::isnan(estimate.value) && std::isnan(estimate.sd));
+      EXPECT_THAT(estimate.why, HasSubstr("needs Tv"));
+    } else {
+      EXPECT_EQ(estimate.value, evaluate_one(kind.name, kAt, good_posterior()).value);
+    }
+  }
+}
+
+// Every value is what it is by those parameters alone that the table names.
+TEST(SheetEvaluation, KindsNeedWhatTheyNeed) {
+  for (const CharacteristicKind& kind : characteristic_kinds())
+    for (std::size_t i = 0; i < kParameterCount; ++i) {
+      BrakeParameters other;
+      other.theta[static_cast<Eigen::Index>(i)] *= 1.05;
+      const bool needs = std::find(kind.needs.begin(), kind.needs.end(), i) != kind.needs.end();
+      EXPECT_EQ(kind.value(other, kAt, {}) != kind.value({}, kAt, {}), needs)
+          << kind.name << ' ' << kParameterTable[i].name;
+    }
+}
+
+TEST(SheetEvaluation, SaysIfABrakeDoesNotGetThere) {
+  Posterior posterior = good_posterior();
+  posterior.parameters.theta[k2] *= 0.5;
+  Circumstances at = kAt;
+  at.force_N = 27e3;
+  EXPECT_EQ(evaluate_one("apply-time", at, posterior).state, State::NotReached);
+  at.force_N = 4.0 * std::pow(17.6, 3) / (27.0 * 0.354 * 0.354);  // just where its stiffness turns over
+  const CharacteristicEstimate edge = evaluate_one("apply-time", at, posterior);
+  EXPECT_EQ(edge.state, State::Unknown);
+  EXPECT_THAT(edge.why, HasSubstr("uncertain"));
+}
+
+TEST(SheetEvaluation, NothingIsKnownWithoutAnEstimateOrOfAModelWithEffects) {
+  Estimate estimate;
+  estimate.termination = Termination::IterationLimit;
+  estimate.message = "too many iterations";
+  EXPECT_THAT(evaluate_one("drag", kAt, posterior_of(estimate)).why, HasSubstr("too many iterations"));
+  estimate.termination = Termination::Converged;
+  estimate.covariance_normalised = good_posterior().covariance_normalised;
+  EXPECT_EQ(evaluate_one("drag", kAt, posterior_of(estimate)).state, State::Known);
+  estimate.effects.push_back({"some-effect", "size", "1", 0.1, 0.01});
+  EXPECT_THAT(evaluate_one("drag", kAt, posterior_of(estimate)).why, HasSubstr("effects"));
+}
+
+TEST(SheetEvaluation, WhatIsAddedToTheCovarianceCounts) {
+  Estimate estimate;
+  estimate.termination = Termination::Converged;
+  estimate.covariance_normalised = good_posterior().covariance_normalised;
+  const double before = evaluate_one("apply-time", kAt, posterior_of(estimate)).sd;
+  const double after =
+      evaluate_one("apply-time", kAt, posterior_of(estimate, 3.0 * estimate.covariance_normalised)).sd;
+  EXPECT_NEAR(after / before, 2.0, 0.1);
+}
+
+}  // namespace
+}  // namespace clampd

@@ -1,0 +1,163 @@
+#include "tests/sheet/sheet_campaign.hpp"
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <ostream>
+#include <random>
+
+#include <fmt/format.h>
+
+#include "clampd/experiment/reference.hpp"
+#include "clampd/identify/method.hpp"
+#include "clampd/record/run.hpp"
+#include "clampd/sheet/evaluation.hpp"
+#include "clampd/simulation/simulate.hpp"
+#include "clampd/station/verdict.hpp"
+#include "tests/sheet/plant_measurement.hpp"
+
+namespace clampd::support {
+namespace {
+
+constexpr std::array<double, kParameterCount> kTableII{0.8, 0.9, 1.66, 0.93, 2.2, 1.05, 0.43};
+constexpr double kGuardBand = 2.0;
+
+class Draws {
+ public:
+  explicit Draws(std::uint64_t seed) : random_(seed) {}
+
+  double uniform(double low, double high) {
+    return std::uniform_real_distribution<double>(low, high)(random_);
+  }
+  double log_uniform(double low, double high) { return std::exp(uniform(std::log(low), std::log(high))); }
+  BrakeParameters brake() {
+    BrakeParameters brake;
+    for (std::size_t i = 0; i < kParameterCount; ++i)
+      brake.theta[static_cast<Eigen::Index>(i)] *= 1.0 + (kTableII[i] - 1.0) * uniform(-0.25, 1.25);
+    return brake;
+  }
+  std::uint64_t seed() { return random_(); }
+
+ private:
+  std::mt19937_64 random_;
+};
+
+/// The shipped sheet, each line limited where a tenth of the brakes are beyond.
+std::vector<Characteristic> limited_lines() {
+  std::vector<Characteristic> lines =
+      read_sheet(std::string(CLAMPD_SOURCE_DIR) + "/configs/sheet.toml").value().characteristics;
+  constexpr int kPopulation = 1000;
+  for (Characteristic& line : lines) {
+    Draws draws(99);
+    std::vector<double> values;
+    for (int i = 0; i < kPopulation; ++i)
+      if (const auto value = line.kind->value(draws.brake(), line.circumstances, {}))
+        values.push_back(*value);
+    std::sort(values.begin(), values.end());
+    const bool from_below = std::isfinite(line.lower);
+    constexpr double kNoLimit = std::numeric_limits<double>::infinity();
+    const auto quantile =
+        static_cast<std::size_t>((from_below ? 0.1 : 0.9) * static_cast<double>(values.size()));
+    line.lower = from_below ? values[quantile] : -kNoLimit;
+    line.upper = from_below ? kNoLimit : values[quantile];
+  }
+  return lines;
+}
+
+void count(CharacteristicCount& counts, const Characteristic& line, const CharacteristicEstimate& estimate,
+           double truth) {
+  if (estimate.state != CharacteristicEstimate::State::Known) {
+    ++counts.unknown;
+    counts.why = estimate.why;
+    return;
+  }
+  ++counts.known;
+  const double error = std::abs(estimate.value - truth);
+  counts.held += error <= 1.96 * estimate.sd;
+  counts.squares += std::pow(error / estimate.sd, 2);
+  counts.sd_mean += estimate.sd;
+  const auto inside = [&](double value) { return value >= line.lower && value <= line.upper; };
+  const bool is_wrong = inside(estimate.value) != inside(truth);
+  const bool is_marginal = judge_parameter(estimate.value, estimate.sd, {line.lower, line.upper},
+                                           kGuardBand) == ParameterVerdict::Marginal;
+  counts.decided += !is_marginal;
+  counts.marginal += is_marginal;
+  (is_marginal ? counts.marginal_wrong : counts.decided_wrong) += is_wrong;
+}
+
+}  // namespace
+
+SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
+  const std::vector<Characteristic> lines = limited_lines();
+  const Reference reference =
+      build_reference(read_run(std::string(CLAMPD_SOURCE_DIR) + "/configs/trajectory.csv").value().run, {})
+          .value();
+  const sim::PlantConfiguration shipped =
+      sim::read_plant_configuration(std::string(CLAMPD_SOURCE_DIR) + "/configs/plant.toml").value();
+  SheetCampaign campaign;
+  for (const Characteristic& line : lines)
+    campaign.characteristics.push_back(
+        {.name = line.name, .limit = std::isfinite(line.lower) ? line.lower : line.upper});
+  Draws draws(options.seed);
+  for (int i = 0; i < options.brakes; ++i) {
+    sim::PlantConfiguration plant = shipped;
+    plant.brake = draws.brake();
+    plant.sensors.force_noise_N = draws.log_uniform(5.0, 75.0);
+    plant.sensors.velocity_noise_rad_s = draws.log_uniform(0.05, 1.5);
+    plant.sensors.torque_noise_Nm = draws.log_uniform(5e-4, 0.0142);
+    plant.seed = draws.seed();
+    const Result<std::vector<Run>> runs =
+        simulate_manoeuvre(plant, reference, {}, static_cast<std::uint16_t>(options.repeats));
+    if (!runs) {
+      ++campaign.not_driven;
+      continue;
+    }
+    const Estimate estimate = identify_brake(options.method, *runs, {});
+    if (!estimate.converged()) {
+      ++campaign.not_identified;
+      continue;
+    }
+    ++campaign.brakes;
+    const auto begin = std::chrono::steady_clock::now();
+    const std::vector<CharacteristicEstimate> sheet = evaluate(lines, posterior_of(estimate), {});
+    campaign.evaluation_s =
+        std::max(campaign.evaluation_s,
+                 std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+    for (std::size_t k = 0; k < lines.size(); ++k)
+      if (const std::optional<double> truth = measure(lines[k], plant))
+        count(campaign.characteristics[k], lines[k], sheet[k], *truth);
+  }
+  return campaign;
+}
+
+void print(std::ostream& out, const SheetCampaign& campaign) {
+  out << fmt::format("{} brakes, {} could not be driven, {} not identified; a sheet took {:.1f} ms at most\n",
+                     campaign.brakes, campaign.not_driven, campaign.not_identified,
+                     1e3 * campaign.evaluation_s);
+  int held = 0, known = 0, decided = 0, decided_wrong = 0, marginal = 0, marginal_wrong = 0;
+  for (const CharacteristicCount& c : campaign.characteristics) {
+    out << fmt::format(
+        "{:<76} coverage {:5.1f} % of {} (-{})  rms {:.3f} sd  sd {:.3g}  limit {:.4g}: {} decided, {} "
+        "wrong; {} "
+        "marginal, {} wrong\n",
+        c.name, 100.0 * c.held / std::max(1, c.known), c.known, c.unknown,
+        std::sqrt(c.squares / std::max(1, c.known)), c.sd_mean / std::max(1, c.known), c.limit, c.decided,
+        c.decided_wrong, c.marginal, c.marginal_wrong);
+    if (c.unknown > 0) out << fmt::format("  not known, once: {}\n", c.why);
+    held += c.held;
+    known += c.known;
+    decided += c.decided;
+    decided_wrong += c.decided_wrong;
+    marginal += c.marginal;
+    marginal_wrong += c.marginal_wrong;
+  }
+  out << fmt::format(
+      "all: coverage {:.2f} % of {}; wrong verdicts: {} of {} decided ({:.3f} %), {} of {} marginal\n",
+      100.0 * held / std::max(1, known), known, decided_wrong, decided,
+      100.0 * decided_wrong / std::max(1, decided), marginal_wrong, marginal);
+}
+
+}  // namespace clampd::support
