@@ -27,9 +27,10 @@ constexpr const char* kFirstColumns =
     "noise_torque_Nm, "
     "cause, torque_while_off, tare_force_N, tare_force_sd_N, tare_velocity_rad_s, tare_velocity_sd_rad_s";
 
-/// Format 3, of today: with all that later ones added to `checks`.
-constexpr std::array<DigestedTable, 5> kTables{{
-    {"checks", "", "id = ?"},
+/// What later formats added to `checks`, one each: format 2 has the first of them.
+constexpr std::array<const char*, kChainFormat - 1> kLaterColumns{"systematic", "stopping", "sheet"};
+
+constexpr std::array<DigestedTable, 4> kTables{{
     {"parameters", "position, name, unit, value, sd, lower, upper, verdict",
      "check_id = ? ORDER BY position"},
     {"runs",
@@ -76,33 +77,32 @@ int append_rows(std::string& text, SQLite::Statement& statement) {
 }  // namespace
 
 ContentDigest::ContentDigest(SQLite::Database& database)
-    // A check of an older format that has what came later was changed.
-    : first_checks_(database,
-                    fmt::format("SELECT {} FROM checks WHERE id = ? AND systematic = '' AND stopping = ''",
-                                kFirstColumns)),
-      second_checks_(database, fmt::format("SELECT {}, systematic FROM checks WHERE id = ? AND stopping = ''",
-                                           kFirstColumns)),
-      amendment_(database, "SELECT id, check_id, kind, made, content FROM amendments WHERE id = ?") {
-  for (const DigestedTable& table : kTables) {
-    const std::string columns =
-        table.columns[0] != '\0' ? table.columns : fmt::format("{}, systematic, stopping", kFirstColumns);
-    tables_.push_back(
-        {table.name, SQLite::Statement(database, fmt::format("SELECT {} FROM {} WHERE {}", columns,
-                                                             table.name, table.condition))});
+    : amendment_(database, "SELECT id, check_id, kind, made, content FROM amendments WHERE id = ?") {
+  for (std::size_t later = 0; later <= kLaterColumns.size(); ++later) {
+    std::string columns = kFirstColumns, condition = "id = ?";
+    for (std::size_t i = 0; i < kLaterColumns.size(); ++i)
+      if (i < later)
+        columns += fmt::format(", {}", kLaterColumns[i]);
+      else  // A check of an older format that has what came later was changed.
+        condition += fmt::format(" AND {} = ''", kLaterColumns[i]);
+    checks_.emplace_back(database, fmt::format("SELECT {} FROM checks WHERE {}", columns, condition));
   }
+  for (const DigestedTable& table : kTables)
+    tables_.push_back(
+        {table.name, SQLite::Statement(database, fmt::format("SELECT {} FROM {} WHERE {}", table.columns,
+                                                             table.name, table.condition))});
 }
 
 std::optional<std::string> ContentDigest::of_check(const std::string& id, int format) {
-  std::string text;
+  if (format < 1 || format > kChainFormat) return std::nullopt;
+  SQLite::Statement& check = checks_[static_cast<std::size_t>(format - 1)];
+  std::string text = "[checks]\n";
+  check.bind(1, id);
+  if (append_rows(text, check) == 0) return std::nullopt;
   for (Table& table : tables_) {
-    const bool is_check = &table == &tables_.front();
-    SQLite::Statement& rows = !is_check     ? table.rows
-                              : format == 1 ? first_checks_
-                              : format == 2 ? second_checks_
-                                            : table.rows;
     text += fmt::format("[{}]\n", table.name);
-    rows.bind(1, id);
-    if (append_rows(text, rows) == 0 && is_check) return std::nullopt;
+    table.rows.bind(1, id);
+    append_rows(text, table.rows);
   }
   return sha256_hex(text);
 }

@@ -27,9 +27,8 @@ class ContentDigest {
     std::string name;
     SQLite::Statement rows;
   };
-  std::vector<Table> tables_;        ///< the first one is `checks`
-  SQLite::Statement first_checks_;   ///< the same of format 1
-  SQLite::Statement second_checks_;  ///< of format 2
+  std::vector<SQLite::Statement> checks_;  ///< of format 1, 2, ...
+  std::vector<Table> tables_;              ///< the others
   SQLite::Statement amendment_;
 };
 
@@ -44,7 +43,7 @@ struct ChainLink {
 };
 
 /// What the columns of contents are: another format where a later version stores more.
-inline constexpr int kChainFormat = 3;
+inline constexpr int kChainFormat = 4;
 
 /// The link's own SHA-256: over all of it and the one before.
 std::string link_sha256(const ChainLink& link, const std::string& chain_before);

@@ -38,20 +38,40 @@ std::string csv_number(double value) {
 
 using Name = std::pair<std::string, std::string>;  ///< of a parameter, and its unit
 
-std::vector<Name> parameters_of(const std::vector<CheckRecord>& checks) {
+struct Judged {
+  Name name;
+  double value, sd, lower, upper;
+  std::string verdict;  ///< empty: none
+};
+
+/// Parameters, then what the sheet asks for.
+std::vector<Judged> judged(const CheckRecord& check) {
+  std::vector<Judged> values;
+  for (const ParameterRecord& p : check.parameters)
+    values.push_back({{p.name, p.unit}, p.value, p.sd, p.lower, p.upper, std::string(to_string(p.verdict))});
+  if (check.sheet)
+    for (const CharacteristicRecord& c : check.sheet->characteristics)
+      values.push_back({{"sheet " + c.name, c.unit},
+                        c.value,
+                        c.sd,
+                        c.lower,
+                        c.upper,
+                        c.verdict ? std::string(to_string(*c.verdict)) : ""});
+  return values;
+}
+
+std::vector<Name> names_of(const std::vector<CheckRecord>& checks) {
   std::vector<Name> names;
   for (const CheckRecord& check : checks)
-    for (const ParameterRecord& parameter : check.parameters)
-      if (const Name name{parameter.name, parameter.unit};
-          std::find(names.begin(), names.end(), name) == names.end())
-        names.push_back(name);
+    for (const Judged& each : judged(check))
+      if (std::find(names.begin(), names.end(), each.name) == names.end()) names.push_back(each.name);
   return names;
 }
 
 }  // namespace
 
 std::string format_csv(const std::vector<CheckRecord>& checks) {
-  const std::vector<Name> names = parameters_of(checks);
+  const std::vector<Name> names = names_of(checks);
   std::string text =
       "record,serial,part_number,batch,station,fixture,operator,software_version,limits_revision,"
       "limits_sha256,simulated,started,stopped,duration_s,repeats,verdict,marginal,reason,fault,cause,"
@@ -94,16 +114,14 @@ std::string format_csv(const std::vector<CheckRecord>& checks) {
           static_cast<double>(c.timing.lost_samples), c.timing.lateness_max_us})
       row.push_back(csv_number(value));
     std::vector<std::string> verdicts;
-    for (const auto& [name, unit] : names) {
-      const auto found = std::find_if(c.parameters.begin(), c.parameters.end(),
-                                      [&n = name, &u = unit](const auto& parameter) {
-                                        return parameter.name == n && parameter.unit == u;
-                                      });
-      const bool has = found != c.parameters.end();
-      for (const double ParameterRecord::*member :
-           {&ParameterRecord::value, &ParameterRecord::sd, &ParameterRecord::lower, &ParameterRecord::upper})
+    const std::vector<Judged> values = judged(c);
+    for (const Name& name : names) {
+      const auto found =
+          std::find_if(values.begin(), values.end(), [&](const Judged& each) { return each.name == name; });
+      const bool has = found != values.end();
+      for (const double Judged::*member : {&Judged::value, &Judged::sd, &Judged::lower, &Judged::upper})
         row.push_back(has ? csv_number((*found).*member) : "");
-      verdicts.push_back(has ? std::string(to_string(found->verdict)) : "");
+      verdicts.push_back(has ? found->verdict : "");
     }
     row.insert(row.end(), verdicts.begin(), verdicts.end());
     row.push_back(c.voided ? cell(c.voided->reason) : "");

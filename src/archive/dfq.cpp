@@ -83,9 +83,21 @@ class Catalogue {
   std::vector<std::string> entries_;
 };
 
-/// Places after the point that resolve a thousandth of the tolerance.
+/// Parameters, then what the sheet asks for, where one of its limits may be missing.
+std::vector<ParameterRecord> characteristics(const CheckRecord& check) {
+  std::vector<ParameterRecord> all = check.parameters;
+  if (check.sheet)
+    for (const CharacteristicRecord& c : check.sheet->characteristics)
+      all.push_back(
+          {c.name, c.unit, c.value, c.sd, c.lower, c.upper, c.verdict.value_or(ParameterVerdict::Marginal)});
+  return all;
+}
+
+/// Places after the point that resolve a thousandth of the tolerance; where there is none, a tenth of the
+/// standard deviation.
 std::size_t decimals(const ParameterRecord& p) {
-  const double step = (p.upper - p.lower) / 1000.0;
+  const double tolerance = p.upper - p.lower;
+  const double step = std::isfinite(tolerance) ? tolerance / 1000.0 : p.sd / 10.0;
   return step > 0.0 ? static_cast<std::size_t>(std::clamp(std::ceil(-std::log10(step)), 0.0, 15.0)) : 6;
 }
 
@@ -122,17 +134,20 @@ Result<std::string> format_dfq(const std::vector<CheckRecord>& checks,
   if (described == sorted.end())
     return failure("no check with parameters to export: a .dfq file needs at least one that was identified");
   const CheckRecord& first = **described;
+  const std::vector<ParameterRecord> described_by = characteristics(first);
   for (const CheckRecord* check : sorted) {
     if (check->part_number != first.part_number)
       return differs(
           first, *check,
           fmt::format("are of different parts ('{}' and '{}')", first.part_number, check->part_number));
-    if (!check->parameters.empty() &&
-        !std::equal(first.parameters.begin(), first.parameters.end(), check->parameters.begin(),
-                    check->parameters.end(), same_characteristic))
-      return differs(first, *check,
-                     fmt::format("have different parameters or limits (limits revision {} and {})",
-                                 first.limits_revision, check->limits_revision));
+    const std::vector<ParameterRecord> values = characteristics(*check);
+    if (!check->parameters.empty() && !std::equal(described_by.begin(), described_by.end(), values.begin(),
+                                                  values.end(), same_characteristic))
+      return differs(
+          first, *check,
+          fmt::format(
+              "have different parameters or limits, those of the sheet included (limits revision {} and {})",
+              first.limits_revision, check->limits_revision));
   }
 
   Catalogue operators, stations;
@@ -146,7 +161,7 @@ Result<std::string> format_dfq(const std::vector<CheckRecord>& checks,
   }
 
   Lines lines;
-  lines.integer("K0100", first.parameters.size());
+  lines.integer("K0100", described_by.size());
   lines.field("K1001", first.part_number.empty() ? "brake" : first.part_number);
   lines.field("K1002", "Electromechanical brake, identified parameters");
   lines.field("K1081", first.station);
@@ -161,8 +176,8 @@ Result<std::string> format_dfq(const std::vector<CheckRecord>& checks,
     remark = fmt::format("K0004 is UTC; K0009 names what K0008 (operator) and K0010 (station) stand for{}",
                          brakes);
   lines.field("K1900", remark);
-  for (std::size_t i = 0; i < first.parameters.size(); ++i) {
-    const ParameterRecord& p = first.parameters[i];
+  for (std::size_t i = 0; i < described_by.size(); ++i) {
+    const ParameterRecord& p = described_by[i];
     const auto key = [&](const char* name) { return fmt::format("{}/{}", name, i + 1); };
     lines.integer(key("K2001"), i + 1);
     lines.field(key("K2002"), p.name);
@@ -175,8 +190,9 @@ Result<std::string> format_dfq(const std::vector<CheckRecord>& checks,
     lines.field(key("K2142"), p.unit);
   }
   for (const CheckRecord* check : sorted) {
-    for (std::size_t i = 0; i < first.parameters.size(); ++i) {
-      const double value = i < check->parameters.size() ? check->parameters[i].value : NAN;
+    const std::vector<ParameterRecord> values = characteristics(*check);
+    for (std::size_t i = 0; i < described_by.size(); ++i) {
+      const double value = i < values.size() ? values[i].value : NAN;
       const bool valid = is_about_the_brake(check->verdict) && !check->voided && std::isfinite(value);
       lines.number(fmt::format("K0001/{}", i + 1), valid ? value : 0.0);
       lines.integer(fmt::format("K0002/{}", i + 1), valid ? 0 : 255);

@@ -82,7 +82,34 @@ ordered_json stopping_json(const std::optional<StoppingRecord>& stopping) {
           {"reason", stopping->reason}};
 }
 
+/// Null where the station had none.
+ordered_json sheet_json(const std::optional<SheetRecord>& sheet) {
+  if (!sheet) return nullptr;
+  ordered_json lines = ordered_json::array();
+  for (const CharacteristicRecord& line : sheet->characteristics)
+    lines.push_back(characteristic_json(line, sheet->misfit_marked));
+  return {{"file", sheet->file},
+          {"revision", sheet->revision},
+          {"sha256", sheet->sha256},
+          {"characteristics", std::move(lines)}};
+}
+
 }  // namespace
+
+ordered_json characteristic_json(const CharacteristicRecord& line, bool misfit_marked) {
+  const auto [low, high] = interval_95(line);
+  return {{"name", line.name},
+          {"kind", line.kind},
+          {"unit", line.unit},
+          {"value", number_or_null(line.value)},
+          {"sd", number_or_null(line.sd)},
+          {"interval_95", {number_or_null(low), number_or_null(high)}},
+          {"lower", number_or_null(line.lower)},
+          {"upper", number_or_null(line.upper)},
+          {"verdict", line.verdict ? ordered_json(to_string(*line.verdict)) : ordered_json(nullptr)},
+          {"misfit_marked", misfit_marked},
+          {"why", line.why.empty() ? ordered_json(nullptr) : ordered_json(line.why)}};
+}
 
 ordered_json cause_json(const CauseRecord& cause) {
   // "effect" is a name only where the runs leave no choice.
@@ -117,6 +144,7 @@ ordered_json check_json(const CheckRecord& record) {
           {"cause", record.cause ? cause_json(*record.cause) : ordered_json(nullptr)},
           {"systematic_misfit", systematic_json(record.systematic)},
           {"stopping", stopping_json(record.stopping)},
+          {"sheet", sheet_json(record.sheet)},
           {"record", record.id},
           {"stopped", record.stopped},
           {"simulated", record.simulated},

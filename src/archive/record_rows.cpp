@@ -75,7 +75,56 @@ std::optional<StoppingRecord> stopping_from(const std::string& text) {
                         stopping.at("reason").get<std::string>()};
 }
 
-constexpr int kCheckColumns = 43;
+/// Empty where the station had no sheet. What is not known and limits that are not there are left out: JSON
+/// has no NaN and no infinity.
+std::string sheet_text(const std::optional<SheetRecord>& sheet) {
+  if (!sheet) return "";
+  nlohmann::json lines = nlohmann::json::array();
+  for (const CharacteristicRecord& c : sheet->characteristics) {
+    nlohmann::json line{{"name", c.name}, {"kind", c.kind}, {"unit", c.unit}};
+    for (const auto& [key, value] :
+         {std::pair{"value", c.value}, {"sd", c.sd}, {"lower", c.lower}, {"upper", c.upper}})
+      if (std::isfinite(value)) line[key] = value;
+    if (c.verdict) line["verdict"] = static_cast<int>(*c.verdict);
+    if (!c.why.empty()) line["why"] = c.why;
+    lines.push_back(std::move(line));
+  }
+  return nlohmann::json{{"file", sheet->file},
+                        {"revision", sheet->revision},
+                        {"sha256", sheet->sha256},
+                        {"misfit_marked", sheet->misfit_marked},
+                        {"characteristics", std::move(lines)}}
+      .dump();
+}
+
+std::optional<SheetRecord> sheet_from(const std::string& text) {
+  if (text.empty()) return std::nullopt;
+  constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+  constexpr double kNoLimit = std::numeric_limits<double>::infinity();
+  const nlohmann::json sheet = nlohmann::json::parse(text);
+  SheetRecord record{sheet.at("file").get<std::string>(),
+                     sheet.at("revision").get<std::string>(),
+                     sheet.at("sha256").get<std::string>(),
+                     sheet.at("misfit_marked").get<bool>(),
+                     {}};
+  for (const nlohmann::json& line : sheet.at("characteristics")) {
+    CharacteristicRecord c{line.at("name").get<std::string>(),
+                           line.at("kind").get<std::string>(),
+                           line.at("unit").get<std::string>(),
+                           line.value("value", kNaN),
+                           line.value("sd", kNaN),
+                           line.value("lower", -kNoLimit),
+                           line.value("upper", kNoLimit)};
+    if (const int verdict = line.value("verdict", -1);
+        verdict >= 0 && verdict <= static_cast<int>(ParameterVerdict::Fail))
+      c.verdict = static_cast<ParameterVerdict>(verdict);
+    c.why = line.value("why", "");
+    record.characteristics.push_back(std::move(c));
+  }
+  return record;
+}
+
+constexpr int kCheckColumns = 44;
 /// Microseconds; the loop keeps a few thousand.
 constexpr std::size_t kMaxHistogramBins = 1'000'000;
 
@@ -90,7 +139,7 @@ void insert_check(SQLite::Database& database, const CheckRecord& r) {
       << r.timing.lateness_min_us << r.timing.lateness_avg_us << r.timing.lateness_max_us << r.timing.bus_load
       << r.method << r.noise_torque_Nm << cause_text(r.cause) << torque_while_off_text(r.torque_while_off)
       << r.tare_force_N << r.tare_force_sd_N << r.tare_velocity_rad_s << r.tare_velocity_sd_rad_s
-      << systematic_text(r.systematic) << stopping_text(r.stopping);
+      << systematic_text(r.systematic) << stopping_text(r.stopping) << sheet_text(r.sheet);
   row.insert();
 }
 
@@ -222,7 +271,7 @@ void insert_record(SQLite::Database& database, const CheckRecord& record) {
 }
 
 void read_check(SQLite::Statement& statement, CheckRecord& r) {
-  std::string covariance, cause, torque_while_off, systematic, stopping;
+  std::string covariance, cause, torque_while_off, systematic, stopping, sheet;
   Columns columns(statement);
   columns >> r.id >> r.serial >> r.part_number >> r.batch >> r.station >> r.fixture >> r.operator_name >>
       r.software_version >> r.limits_file >> r.limits_revision >> r.limits_sha256 >> r.trajectory_sha256 >>
@@ -231,7 +280,8 @@ void read_check(SQLite::Statement& statement, CheckRecord& r) {
       r.tracking_rms_N >> r.timing.ticks >> r.timing.skipped >> r.timing.lost_samples >>
       r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >>
       r.method >> r.noise_torque_Nm >> cause >> torque_while_off >> r.tare_force_N >> r.tare_force_sd_N >>
-      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic >> stopping;
+      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic >> stopping >> sheet;
+  r.sheet = sheet_from(sheet);
   r.stopping = stopping_from(stopping);
   r.systematic = systematic_from(systematic);
   r.cause = cause_from(cause);

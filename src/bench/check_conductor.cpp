@@ -110,6 +110,7 @@ Result<void> CheckConductor::begin(const CheckRequest& request, const rt::StartT
   context.trajectory_sha256 = station_.trajectory_sha256;
   context.software_version = std::string(kVersion);
   context.started_utc_ns = now.utc_ns;
+  context.sheet = station_.sheet;
   const Run off = off_.run();
   context.torque_while_off = torque_while_off(std::span(&off, 1));
   session_ = std::make_unique<CheckSession>(

@@ -265,6 +265,17 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
       !usable)
     return tl::unexpected(usable.error());
 
+  if (!configuration.sheet_file.empty()) {
+    Result<Sheet> sheet = read_sheet(configuration.sheet_file);
+    if (!sheet) return tl::unexpected(sheet.error());
+    if (station.model)
+      return failure(fmt::format(
+          "{}: a sheet is about the base model, and [check] model names one with effects that it does "
+          "not count: leave out one of the two",
+          sheet->file));
+    station.sheet = std::move(*sheet);
+  }
+
   Result<can::ProtocolCodec> codec = build_codec(configuration);
   if (!codec) return tl::unexpected(codec.error());
   station.codec = std::move(*codec);

@@ -1,5 +1,7 @@
 #include "clampd/record/check_record.hpp"
 
+#include <cmath>
+
 namespace clampd {
 
 std::string_view to_string(Verdict verdict) noexcept {
@@ -35,6 +37,19 @@ std::string_view to_string(ParameterVerdict verdict) noexcept {
       return "fail";
   }
   return "?";
+}
+
+bool CharacteristicRecord::has_limits() const {
+  return std::isfinite(lower) || std::isfinite(upper);
+}
+
+bool CharacteristicRecord::is_known() const {
+  return std::isfinite(value) && std::isfinite(sd);
+}
+
+std::pair<double, double> interval_95(const CharacteristicRecord& line) {
+  constexpr double kQuantile = 1.96;
+  return {line.value - kQuantile * line.sd, line.value + kQuantile * line.sd};
 }
 
 }  // namespace clampd

@@ -143,7 +143,7 @@ Eigen::Vector2d offset_sd(const Tare& tare) {
   return {tare.force_sd_N / mean_of, tare.velocity_sd_rad_s / mean_of};
 }
 
-/// With what the tare adds, as tare_sd_normalised().
+/// With what the tare adds, as tare_covariance_normalised().
 std::vector<EffectEstimate> with_tare_sd(std::vector<EffectEstimate> effects, const Tare& tare) {
   const Eigen::Vector2d offset = offset_sd(tare);
   for (EffectEstimate& effect : effects)
@@ -154,15 +154,17 @@ std::vector<EffectEstimate> with_tare_sd(std::vector<EffectEstimate> effects, co
 
 }  // namespace
 
-ParameterVector tare_sd_normalised(const Estimate& joint, const Tare& tare) {
-  return (joint.offset_sensitivity * offset_sd(tare).asDiagonal()).rowwise().norm();
+ParameterMatrix tare_covariance_normalised(const Estimate& joint, const Tare& tare) {
+  return joint.offset_sensitivity * offset_sd(tare).cwiseAbs2().asDiagonal() *
+         joint.offset_sensitivity.transpose();
 }
 
 namespace {
 
 /// Of the parameters, SI.
 ParameterVector sd_with_tare(const Estimate& joint, const Tare& tare) {
-  return (joint.covariance_normalised.diagonal() + tare_sd_normalised(joint, tare).cwiseAbs2())
+  return (joint.covariance_normalised + tare_covariance_normalised(joint, tare))
+      .diagonal()
       .cwiseSqrt()
       .cwiseProduct(nominal_parameters().cwiseAbs());
 }
@@ -174,6 +176,7 @@ CheckSession::CheckSession(const StationConfiguration& configuration, const Limi
                            WorkerMode mode, Diagnoser diagnoser)
     : configuration_(configuration),
       limits_(limits),
+      sheet_(context.sheet),
       started_utc_ns_(context.started_utc_ns),
       repeats_(planned_repeats(request, configuration.check)),
       stopping_(repeats_.automatic
@@ -195,6 +198,7 @@ CheckSession::CheckSession(const StationConfiguration& configuration, const Limi
   record_.limits_file = limits.file;
   record_.limits_revision = limits.revision;
   record_.limits_sha256 = limits.sha256;
+  if (sheet_) record_.sheet = SheetRecord{sheet_->file, sheet_->revision, sheet_->sha256, false, {}};
   record_.trajectory_sha256 = context.trajectory_sha256;
   record_.instruments = instruments_json(configuration.instruments);
   record_.method = std::string(to_string(configuration.check.method));
@@ -325,21 +329,26 @@ void CheckSession::question_failure(CheckRecord& record) {
 }
 
 /// Tests whether the repeats have something in common that the model lacks; where that may move a parameter
-/// by more than its standard deviation, the deviations grow by as much.
+/// by more than its standard deviation, the deviations grow by as much, and so does what is `added` to the
+/// estimate's covariance.
 std::optional<SystematicRecord> CheckSession::count_misfit(const Estimate& joint,
                                                            const std::vector<RunRecord>& runs,
-                                                           ParameterVector& sd) const {
+                                                           ParameterVector& sd,
+                                                           ParameterMatrix& added) const {
   const SystematicMisfit misfit = systematic_misfit(
       runs_of(runs), joint,
       joint.method == Method::PredictionError ? ResidualKind::Innovations : ResidualKind::OutputError);
   if (!misfit.can_tell) return std::nullopt;
-  const ParameterVector by_misfit =
-      misfit.covariance_normalised.diagonal().cwiseMax(0.0).cwiseSqrt().cwiseProduct(
-          nominal_parameters().cwiseAbs());
-  const double moved_sd = by_misfit.cwiseQuotient(sd).maxCoeff();
-  const bool is_marked = misfit.is_significant() && moved_sd > 1.0;
-  if (is_marked) sd = (sd.cwiseAbs2() + by_misfit.cwiseAbs2()).cwiseSqrt();
-  return SystematicRecord{misfit.p_value, misfit.over_noise, moved_sd, is_marked};
+  const ParameterVector nominal = nominal_parameters().cwiseAbs();
+  const ParameterVector sd_normalised = sd.cwiseQuotient(nominal);
+  const bool is_marked = misfit.counts(sd_normalised);
+  if (is_marked) {
+    added += misfit.covariance_normalised;
+    sd = (sd_normalised.cwiseAbs2() + misfit.covariance_normalised.diagonal().cwiseMax(0.0))
+             .cwiseSqrt()
+             .cwiseProduct(nominal);
+  }
+  return SystematicRecord{misfit.p_value, misfit.over_noise, misfit.moved_sd(sd_normalised), is_marked};
 }
 
 /// What runs and their joint estimate contribute to the facts. Gives what the repeats have in common beside
@@ -356,13 +365,19 @@ std::optional<SystematicRecord> CheckSession::add_estimate(const Estimate& joint
                                      joint.message, kUsePredictionErrors);
   facts.estimate = joint.parameters.theta;
   facts.sd = sd_with_tare(joint, collector_.tare());
-  std::optional<SystematicRecord> systematic = count_misfit(joint, runs, facts.sd);
+  ParameterMatrix added = tare_covariance_normalised(joint, collector_.tare());
+  std::optional<SystematicRecord> systematic = count_misfit(joint, runs, facts.sd, added);
   const ExpectedResidual expected = expected_residual(collector_.tare(), runs, configuration_.model,
                                                       configuration_.validity.torque_noise_Nm);
   facts.effects = with_tare_sd(joint.effects, collector_.tare());
   facts.misfit_force = ratio(joint.force_rms_N, expected.force_N);
   facts.misfit_velocity = ratio(joint.velocity_rms_rad_s, expected.velocity_rad_s);
   if (stopping_) facts.guard_bands = stopping_->guard_bands(joint);
+  if (sheet_)
+    facts.characteristics =
+        judge_sheet(sheet_->characteristics,
+                    evaluate(sheet_->characteristics, posterior_of(joint, added), configuration_.model),
+                    facts.guard_bands ? facts.guard_bands->widest() : limits_.guard_band_k);
   return systematic;
 }
 
@@ -427,6 +442,10 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   record.marginal = judgement.marginal;
   record.reason = std::move(judgement.reason);
   record.parameters = std::move(judgement.parameters);
+  if (record.sheet) {
+    record.sheet->characteristics = std::move(judgement.characteristics);
+    record.sheet->misfit_marked = record.systematic && record.systematic->marked;
+  }
   if (judgement.undecided && is_by_output_errors()) record.reason += advice_on_method(record, facts.sd);
   if (record.systematic && record.systematic->marked && is_about_the_brake(record.verdict))
     record.reason += fmt::format(

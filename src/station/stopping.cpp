@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/record/check_record.hpp"
@@ -48,24 +49,31 @@ GuardBands StoppingRule::guard_bands(const Estimate& joint) const {
   return bands;
 }
 
+namespace {
+
+/// Parameters and characteristics that their limits are too near to.
+std::vector<std::string> in_doubt(const Judgement& judgement) {
+  std::vector<std::string> names;
+  for (const ParameterRecord& parameter : judgement.parameters)
+    if (parameter.verdict == ParameterVerdict::Marginal) names.push_back(parameter.name);
+  for (const CharacteristicRecord& line : judgement.characteristics)
+    if (line.verdict == ParameterVerdict::Marginal) names.push_back(line.name);
+  return names;
+}
+
+}  // namespace
+
 bool StoppingRule::is_enough(const Judgement& judgement, const Estimate& joint,
                              const std::optional<SystematicRecord>& systematic) {
-  const bool in_doubt = std::any_of(
-      judgement.parameters.begin(), judgement.parameters.end(),
-      [](const ParameterRecord& parameter) { return parameter.verdict == ParameterVerdict::Marginal; });
-  return is_about_the_brake(judgement.verdict) && !in_doubt && !do_runs_differ_without_scatter(joint) &&
-         !is_fit_in_doubt(systematic);
+  return is_about_the_brake(judgement.verdict) && in_doubt(judgement).empty() &&
+         !do_runs_differ_without_scatter(joint) && !is_fit_in_doubt(systematic);
 }
 
 std::string StoppingRule::why_most(const Judgement& judgement, const Estimate& joint,
                                    const std::optional<SystematicRecord>& systematic) const {
-  std::string doubt;
-  for (const ParameterRecord& parameter : judgement.parameters)
-    if (parameter.verdict == ParameterVerdict::Marginal)
-      doubt += (doubt.empty() ? "" : ", ") + parameter.name;
   std::string why;
-  if (!doubt.empty())
-    why = fmt::format("; {} in doubt", doubt);
+  if (const std::vector<std::string> doubt = in_doubt(judgement); !doubt.empty())
+    why = fmt::format("; {} in doubt", fmt::join(doubt, ", "));
   else if (do_runs_differ_without_scatter(joint))
     why = "; the runs differ from each other by more than their noise";
   else if (!is_about_the_brake(judgement.verdict))

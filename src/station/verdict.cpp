@@ -23,6 +23,7 @@ bool is_inside(const Judged& parameter) {
 
 std::string describe(const Judged& parameter) {
   const auto& [record, limits, guard_band_k] = parameter;
+  if (std::isnan(record.value)) return fmt::format("{} is not reached", record.name);
   const bool low = record.value - limits.lower < limits.upper - record.value;
   return fmt::format("{} is {:.4g} {}, {} its {} limit {:.4g} {}", record.name, record.value, record.unit,
                      is_inside(parameter) ? "close to" : (low ? "below" : "above"), low ? "lower" : "upper",
@@ -70,11 +71,15 @@ LimitInterval decisive_limits(const EffectLimit& limit) {
   return decisive;
 }
 
+GuardBands guard_bands(const CheckFacts& facts, const LimitSet& limits) {
+  return facts.guard_bands.value_or(
+      GuardBands{ParameterVector::Constant(limits.guard_band_k), limits.guard_band_k});
+}
+
 std::vector<Judged> judge_parameters(const CheckFacts& facts, const LimitSet& limits) {
   std::vector<Judged> parameters;
   if (!facts.estimated || !facts.estimate.allFinite() || !facts.sd.allFinite()) return parameters;
-  const GuardBands bands = facts.guard_bands.value_or(
-      GuardBands{ParameterVector::Constant(limits.guard_band_k), limits.guard_band_k});
+  const GuardBands bands = guard_bands(facts, limits);
   for (std::size_t i = 0; i < kParameterCount; ++i) {
     const auto k = static_cast<Eigen::Index>(i);
     const ParameterInfo& info = kParameterTable[i];
@@ -86,6 +91,16 @@ std::vector<Judged> judge_parameters(const CheckFacts& facts, const LimitSet& li
       parameters.push_back(judged(limit.effect + "." + limit.parameter, estimate->unit, estimate->value,
                                   estimate->sd, limit.interval, decisive_limits(limit), bands.effects));
   return parameters;
+}
+
+/// Those lines of the sheet that a verdict depends on.
+void add_sheet(const CheckFacts& facts, double guard_band_k, std::vector<Judged>& parameters) {
+  for (const CharacteristicRecord& line : facts.characteristics)
+    if (line.verdict)
+      parameters.push_back(
+          {{line.name, line.unit, line.value, line.sd, line.lower, line.upper, *line.verdict},
+           {line.lower, line.upper},
+           guard_band_k});
 }
 
 /// Why nothing can be said about the brake; empty if something can.
@@ -110,6 +125,9 @@ std::string invalidity(const CheckFacts& facts, const LimitSet& limits, const Va
     if (!is_known(find_estimate(facts, limit)))
       return fmt::format("{}.{} could not be identified from the runs, so that it cannot be judged.",
                          limit.effect, limit.parameter);
+  for (const CharacteristicRecord& line : facts.characteristics)
+    if (line.has_limits() && !line.verdict)
+      return fmt::format("{} is not known, so that it cannot be judged: {}.", line.name, line.why);
   unexplained = !facts.other_method.empty();
   if (unexplained) return facts.other_method;
   const bool force = !(facts.misfit_force <= validity.misfit_max);
@@ -124,6 +142,13 @@ std::string invalidity(const CheckFacts& facts, const LimitSet& limits, const Va
   return {};
 }
 
+std::string all_within(std::size_t parameters, std::size_t judged) {
+  const std::string count = parameters == kParameterCount ? "seven" : std::to_string(parameters);
+  const std::string sheet =
+      judged == parameters ? "" : fmt::format(" and {} of the sheet", judged - parameters);
+  return fmt::format("All {} parameters{} are within their limits.", count, sheet);
+}
+
 }  // namespace
 
 ParameterVerdict judge_parameter(double value, double sd, const LimitInterval& limits, double guard_band_k) {
@@ -134,10 +159,32 @@ ParameterVerdict judge_parameter(double value, double sd, const LimitInterval& l
   return ParameterVerdict::Marginal;
 }
 
+std::vector<CharacteristicRecord> judge_sheet(const std::vector<Characteristic>& characteristics,
+                                              const std::vector<CharacteristicEstimate>& estimates,
+                                              double guard_band_k) {
+  using State = CharacteristicEstimate::State;
+  std::vector<CharacteristicRecord> lines;
+  for (std::size_t i = 0; i < characteristics.size(); ++i) {
+    const auto& [name, kind, circumstances, lower, upper] = characteristics[i];
+    const CharacteristicEstimate& estimate = estimates[i];
+    CharacteristicRecord line{
+        name, std::string(kind->name), std::string(kind->unit), estimate.value, estimate.sd, lower, upper};
+    line.why = estimate.why;
+    if (characteristics[i].has_limits() && estimate.state != State::Unknown)
+      line.verdict = estimate.state == State::NotReached
+                         ? ParameterVerdict::Fail
+                         : judge_parameter(estimate.value, estimate.sd, {lower, upper}, guard_band_k);
+    lines.push_back(std::move(line));
+  }
+  return lines;
+}
+
 Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValiditySettings& validity) {
   Judgement judgement;
-  const std::vector<Judged> parameters = judge_parameters(facts, limits);
+  std::vector<Judged> parameters = judge_parameters(facts, limits);
   for (const Judged& parameter : parameters) judgement.parameters.push_back(parameter.record);
+  judgement.characteristics = facts.characteristics;
+  add_sheet(facts, guard_bands(facts, limits).widest(), parameters);
   const auto decide = [&](Verdict verdict, bool marginal, std::string reason) {
     judgement.verdict = verdict;
     judgement.marginal = marginal;
@@ -185,10 +232,7 @@ Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValidityS
   if (any(is_marginal))
     return decide(Verdict::Pass, true,
                   describe_all(parameters, is_marginal) + ", by less than its uncertainty.");
-  return decide(Verdict::Pass, false,
-                parameters.size() == kParameterCount
-                    ? "All seven parameters are within their limits."
-                    : fmt::format("All {} parameters are within their limits.", parameters.size()));
+  return decide(Verdict::Pass, false, all_within(judgement.parameters.size(), parameters.size()));
 }
 
 int exit_code(Verdict verdict) {

@@ -76,6 +76,39 @@ void write_parameters(Page& page, const CheckRecord& check) {
   page.table(table);
 }
 
+void write_sheet(Page& page, const SheetRecord& sheet) {
+  if (sheet.characteristics.empty()) return;
+  page.section("Sheet");
+  if (sheet.misfit_marked)
+    page.paragraph(
+        "The model does not explain all of this brake's motion: the deviations below count it, and what it "
+        "does not "
+        "show the sheet does not either.");
+  Table table{
+      "What the requirement sheet asks for, from the identified parameters and their uncertainty: value, "
+      "95 % interval and limits.",
+      {{"characteristic", false},
+       {"value", true},
+       {"95 % from", true},
+       {"to", true},
+       {"lower limit", true},
+       {"upper limit", true},
+       {"unit", false},
+       {"verdict", false}},
+      {}};
+  for (const CharacteristicRecord& line : sheet.characteristics) {
+    const auto [low, high] = interval_95(line);
+    const std::string unknown = line.verdict ? "not reached" : "not known: " + line.why;
+    table.rows.push_back({line.name, number(line.value, 5), number(low, 5), number(high, 5),
+                          number(line.lower, 5), number(line.upper, 5), line.unit,
+                          line.verdict && line.is_known()
+                              ? Cell(std::string(to_string(*line.verdict)), tone_of(*line.verdict))
+                          : line.is_known() ? Cell("no limits")
+                                            : Cell(unknown, line.verdict ? Tone::Bad : Tone::Mixed)});
+  }
+  page.table(table);
+}
+
 /// Every parameter on a scale from its lower (0) to its upper limit (1).
 Figure limits_figure(const CheckRecord& check, double guard_band_k) {
   Panel panel;
@@ -345,6 +378,9 @@ void write_traceability(Page& page, const CheckRecord& check) {
                       : fmt::format("{}, a fixed number", check.repeats)},
       {"Limits", fmt::format("revision {} ({})", check.limits_revision, check.limits_file)},
       {"Limits SHA-256", check.limits_sha256},
+      {"Sheet",
+       check.sheet ? fmt::format("revision {} ({})", check.sheet->revision, check.sheet->file) : "–"},
+      {"Sheet SHA-256", check.sheet ? check.sheet->sha256 : "–"},
       {"Trajectory SHA-256", check.trajectory_sha256},
       {"Record", check.id}};
   for (const auto& [term, text] : rows) table.rows.push_back({term, text});
@@ -428,6 +464,7 @@ Result<std::string> check_report(const CheckReportContents& contents) {
         !drawn)
       return tl::unexpected(drawn.error());
     write_parameters(page, check);
+    if (check.sheet) write_sheet(page, *check.sheet);
   }
   if (!check.flight_recorder.empty())
     if (const auto written = write_flight_recorder(page, check); !written)

@@ -115,6 +115,15 @@ void append_parameters(std::string& text, const CheckRecord& record, bool colour
   text += '\n';
 }
 
+/// "… 0.140", "0.1 …", "0.1 … 0.2": the limits that there are.
+std::string limits_text(const CharacteristicRecord& line) {
+  const auto end = [](double limit) {
+    return std::isfinite(limit) ? fmt::format("{:.4g}", limit) : std::string();
+  };
+  if (!line.has_limits()) return "";
+  return fmt::format("{} … {}", end(line.lower), end(line.upper));
+}
+
 void append_runs(std::string& text, const CheckRecord& record) {
   if (record.runs.empty()) return;
   const auto worst =
@@ -136,11 +145,48 @@ void append_runs(std::string& text, const CheckRecord& record) {
                   std::sqrt(force_squares / n), std::sqrt(velocity_squares / n));
 }
 
+void append_sheet(std::string& text, const CheckRecord& record, bool colour) {
+  if (!record.sheet || record.sheet->characteristics.empty()) return;
+  text += format_sheet(*record.sheet, colour) + '\n';
+}
+
 std::string bus_load_text(double bus_load) {
   return bus_load > 0.0 ? fmt::format("; bus load {:.0f} %", 100.0 * bus_load) : "";
 }
 
 }  // namespace
+
+std::string format_sheet(const SheetRecord& sheet, bool colour) {
+  std::string text = painted(fmt::format("  {:<40}{:>10}{:>11}  {:<7}{:<16}{}", "sheet", "value", "± sd",
+                                         "unit", "limits", "verdict"),
+                             kBold, colour);
+  text += '\n';
+  for (const CharacteristicRecord& line : sheet.characteristics) {
+    constexpr std::size_t kNameWidth = 40;
+    const bool is_long = columns(line.name) >= kNameWidth;
+    if (is_long) text += fmt::format("  {}\n", line.name);
+    text += fmt::format("  {:<40}", is_long ? "" : line.name);
+    if (line.is_known())
+      text += fmt::format("{:>10.5g}{:>11}  ", line.value, fmt::format("± {:.2g}", line.sd));
+    else
+      text += fmt::format("{:>21}  ", line.verdict ? "not reached" : "not known");
+    text += fmt::format("{:<7}{:<16}", line.unit, limits_text(line));
+    if (line.verdict)
+      text += painted(*line.verdict == ParameterVerdict::Fail ? "FAIL" : to_string(*line.verdict),
+                      colour_of(*line.verdict), colour);
+    while (text.back() == ' ') text.pop_back();
+    text += '\n';
+    if (!line.why.empty()) text += wrapped(line.why, "    ");
+  }
+  if (sheet.misfit_marked)
+    text += wrapped(
+        "The model does not explain all of this brake's motion: the deviations above count it, and what it "
+        "does "
+        "not show the sheet does not either.",
+        "  ");
+  text += fmt::format("  Sheet     revision {} ({})\n", sheet.revision, sheet.file);
+  return text;
+}
 
 std::string format_check(const CheckRecord& record, bool colour) {
   std::string text = "\n";
@@ -167,6 +213,7 @@ std::string format_check(const CheckRecord& record, bool colour) {
             '\n';
 
   append_parameters(text, record, colour);
+  append_sheet(text, record, colour);
   if (record.stopping) text += wrapped(fmt::format("Repeats   {}", record.stopping->reason), "  ");
   append_runs(text, record);
   const TimingRecord& timing = record.timing;

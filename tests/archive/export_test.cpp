@@ -148,6 +148,24 @@ TEST(Dfq, ValuesOfAnInvalidCheckAreNotValuesOfTheBrake) {
   EXPECT_EQ(file.values.at(1)[1].more.at("K0002"), "255");
 }
 
+TEST(Dfq, TheSheetsCharacteristicsFollowTheParameters) {
+  CheckRecord check = numbered(0);
+  check.sheet = support::make_sheet_record();
+  const DfqFile file = read_dfq(*format_dfq({check}, {}));
+  EXPECT_EQ(file.part.at("K0100"), "12");
+  ASSERT_EQ(file.characteristics.size(), 12u);
+  const auto& time = file.characteristics.at(8);
+  EXPECT_EQ(time.at("K2002"), "apply-time at force_N 20000, share 0.9");
+  EXPECT_EQ(time.at("K2142"), "s");
+  EXPECT_EQ(time.count("K2110"), 0u) << "it has no lower limit";
+  EXPECT_DOUBLE_EQ(std::stod(time.at("K2111")), 0.14);
+  EXPECT_EQ(time.at("K2022"), "6") << "a tenth of 47 microseconds";
+  EXPECT_DOUBLE_EQ(file.values.at(8)[0].value, 0.1523);
+  EXPECT_EQ(file.values.at(8)[0].more.at("K0002"), "0");
+  EXPECT_EQ(file.values.at(12)[0].more.at("K0002"), "255") << "it is not known";
+  EXPECT_FALSE(format_dfq({check, numbered(1)}, {})) << "the other was asked for less";
+}
+
 TEST(Dfq, RefusesUnlikeChecks) {
   CheckRecord other = numbered(1);
   other.part_number = "P-18";
@@ -245,6 +263,24 @@ TEST(Csv, OneRowACheckWithEveryParameter) {
   EXPECT_EQ(rows[1][column("backlash.play [rad]")], "");
   EXPECT_DOUBLE_EQ(std::stod(rows[2][column("backlash.play [rad]")]), 0.2);
   EXPECT_EQ(rows[2][column("k2 verdict")], "fail");
+}
+
+TEST(Csv, HasTheSheetsCharacteristicsToo) {
+  CheckRecord asked = numbered(1);
+  asked.sheet = support::make_sheet_record();
+  const auto rows = read_csv(format_csv({numbered(0), asked}));
+  const auto cell = [&](std::size_t row, const std::string& name) {
+    const auto found = std::find(rows[0].begin(), rows[0].end(), name);
+    EXPECT_NE(found, rows[0].end()) << name;
+    return rows[row].at(static_cast<std::size_t>(found - rows[0].begin()));
+  };
+  EXPECT_EQ(cell(2, "sheet stiffness, 20 kN [N/rad]"), "951.25");
+  EXPECT_EQ(cell(2, "sheet stiffness, 20 kN verdict"), "pass");
+  EXPECT_EQ(cell(2, "sheet drag upper [N m]"), "") << "it has none";
+  EXPECT_EQ(cell(2, "sheet holding [N m]"), "");
+  EXPECT_EQ(cell(2, "sheet holding verdict"), "");
+  EXPECT_EQ(cell(2, "sheet to 27 kN verdict"), "fail");
+  EXPECT_EQ(cell(1, "sheet stiffness, 20 kN [N/rad]"), "");
 }
 
 TEST(Csv, NoFormulaBeginsAtASemicolonEither) {

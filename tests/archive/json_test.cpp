@@ -39,6 +39,25 @@ TEST(CheckJson, HoldsWhatTheContractPromises) {
   EXPECT_EQ(document.at("record"), "20261120T234107123Z-9f3a61c2");
 }
 
+TEST(CheckJson, TellsWhatTheSheetSays) {
+  CheckRecord record = support::make_check_record();
+  EXPECT_TRUE(check_json(record).at("sheet").is_null());
+  record.sheet = support::make_sheet_record();
+  const ordered_json sheet = check_json(record).at("sheet");
+  EXPECT_EQ(sheet.at("revision"), "4");
+  ASSERT_EQ(sheet.at("characteristics").size(), 5u);
+  EXPECT_EQ(sheet.at("characteristics")[1],
+            ordered_json::parse(
+                R"({"name":"stiffness, 20 kN","kind":"stiffness","unit":"N/rad","value":951.25,"sd":0.6,
+                                    "interval_95":[950.074,952.426],"lower":800.0,"upper":1500.0,"verdict":"pass",
+                                    "misfit_marked":true,"why":null})"));
+  EXPECT_TRUE(sheet.at("characteristics")[0].at("lower").is_null());
+  EXPECT_TRUE(sheet.at("characteristics")[2].at("verdict").is_null()) << "it has no limits";
+  const ordered_json& unknown = sheet.at("characteristics")[4];
+  EXPECT_TRUE(unknown.at("value").is_null() && unknown.at("sd").is_null() && unknown.at("verdict").is_null());
+  EXPECT_EQ(unknown.at("why"), "it needs mus, which these runs do not determine");
+}
+
 TEST(CheckJson, HoldsTheWholeRecord) {
   const ordered_json document = check_json(support::make_check_record());
   EXPECT_EQ(document.at("operator"), "Jo Müller");

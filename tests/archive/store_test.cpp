@@ -161,7 +161,8 @@ void undo_steps_7_and_8(SQLite::Database& database) {
   database.exec(
       "DROP TABLE chain; DROP TABLE amendments; ALTER TABLE runs DROP COLUMN data; ALTER TABLE checks DROP "
       "COLUMN "
-      "systematic; ALTER TABLE checks DROP COLUMN stopping; PRAGMA application_id = "
+      "systematic; ALTER TABLE checks DROP COLUMN stopping; ALTER TABLE checks DROP COLUMN sheet; PRAGMA "
+      "application_id = "
       "0; "
       "PRAGMA user_version = 6");
 }
@@ -190,7 +191,7 @@ TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
     old.exec("ALTER TABLE checks DROP COLUMN cause");
     old.exec("PRAGMA user_version = 2");
   }
-  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 12"));
+  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 14"));
   CheckStore store = open();
   const auto loaded = store.load("last");
   ASSERT_TRUE(loaded) << loaded.error().message;
@@ -247,8 +248,8 @@ TEST_F(Store, SealsWhatAnOlderVersionSaved) {
 TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
   const std::string id = make_check_record().id;
   make_older(1,
-             "ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE checks DROP COLUMN stopping; PRAGMA "
-             "user_version = 8");
+             "ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE checks DROP COLUMN stopping; "
+             "ALTER TABLE checks DROP COLUMN sheet; PRAGMA user_version = 8");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.systematic = SystematicRecord{1e-9, 0.6, 3.5, true};
@@ -268,7 +269,9 @@ TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
 
 TEST_F(Store, KeepsWhatSchema10SealedVerifiable) {
   const std::string id = make_check_record().id;
-  make_older(2, "ALTER TABLE checks DROP COLUMN stopping; PRAGMA user_version = 10");
+  make_older(2,
+             "ALTER TABLE checks DROP COLUMN stopping; ALTER TABLE checks DROP COLUMN sheet; PRAGMA "
+             "user_version = 10");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.stopping = StoppingRecord{21, 2.608, "every limit decided after 4 runs"};
@@ -279,6 +282,26 @@ TEST_F(Store, KeepsWhatSchema10SealedVerifiable) {
   for (const std::string& changed : {id, later.id}) {
     SQLite::Database database(path, SQLite::OPEN_READWRITE);
     SQLite::Statement change(database, "UPDATE checks SET stopping = '{}' WHERE id = ?");
+    change.bind(1, changed);
+    change.exec();
+  }
+  EXPECT_EQ(store.verify()->damage.size(), 2U)
+      << "what came later is sealed too, and none of it is put into old checks";
+}
+
+TEST_F(Store, KeepsWhatSchema12SealedVerifiable) {
+  const std::string id = make_check_record().id;
+  make_older(3, "ALTER TABLE checks DROP COLUMN sheet; PRAGMA user_version = 12");
+  CheckStore store = open();
+  CheckRecord later = make_check_record("20261121T000000000Z-00000000");
+  later.sheet = support::make_sheet_record();
+  ASSERT_TRUE(store.save(later));
+  EXPECT_EQ(check_json(*store.load(later.id)), check_json(later));
+  EXPECT_FALSE(store.load(id)->sheet);
+  EXPECT_THAT(store.verify()->damage, ::testing::IsEmpty());
+  for (const std::string& changed : {id, later.id}) {
+    SQLite::Database database(path, SQLite::OPEN_READWRITE);
+    SQLite::Statement change(database, "UPDATE checks SET sheet = '{}' WHERE id = ?");
     change.bind(1, changed);
     change.exec();
   }
@@ -591,7 +614,7 @@ TEST_F(Store, AdoptsNoDatabaseOfAnotherProgram) {
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 12);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 14);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

@@ -414,6 +414,24 @@ TEST_P(AutomaticSession, EndsWithTheFirstLookThatDecidesEveryLimit) {
   EXPECT_GT(record.stopping->coverage_factor, limits.guard_band_k) << "it may look again and again";
 }
 
+TEST_P(AutomaticSession, GoesOnWhileTheSheetIsInDoubt) {
+  context.sheet = *parse_sheet(R"(revision = "7"
+[[characteristic]]
+name = "holding"
+kind = "holding-margin"
+unit = "N m"
+force_N = 20000
+upper = 0.235
+)",
+                               "sheet.toml");
+  // 0.0042 N m below its limit, and known to 0.0036 N m by one run.
+  const CheckRecord record = drive(of(nominal_parameters(), 0.005));
+  EXPECT_EQ(record.verdict, Verdict::Pass) << record.reason;
+  EXPECT_FALSE(record.marginal);
+  EXPECT_GT(record.runs.size(), 4u);
+  EXPECT_LT(record.runs.size(), kMost);
+}
+
 TEST_P(AutomaticSession, GoesOnWhileALimitIsInDoubtAndFailsWithWhatItThenKnows) {
   ParameterVector soft = nominal_parameters();
   soft[k2] *= 0.82;  // the limit is 0.85: decided once 0.03 are more than 2.5 sd
@@ -493,6 +511,42 @@ INSTANTIATE_TEST_SUITE_P(Modes, AutomaticSession,
                          [](const auto& mode) {
                            return mode.param == WorkerMode::Background ? "background" : "synchronous";
                          });
+
+TEST_P(Session, TheSheetGoesWithTheRecordAndCountsInTheVerdict) {
+  EXPECT_FALSE(check(samples, finds(nominal_parameters())).sheet) << "the station has none";
+  context.sheet = *parse_sheet(R"(revision = "7"
+[[characteristic]]
+kind = "holding-margin"
+unit = "N m"
+force_N = 20000
+upper = 0.2
+)",
+                               "sheet.toml");
+  const CheckRecord record = check(samples, finds(nominal_parameters()));
+  ASSERT_TRUE(record.sheet);
+  EXPECT_EQ(record.sheet->revision, "7");
+  EXPECT_EQ(record.sheet->file, "sheet.toml");
+  EXPECT_EQ(record.sheet->sha256, context.sheet->sha256);
+  EXPECT_FALSE(record.sheet->misfit_marked);
+  ASSERT_EQ(record.sheet->characteristics.size(), 1u);
+  const CharacteristicRecord& margin = record.sheet->characteristics[0];
+  EXPECT_NEAR(margin.value, 0.2308, 1e-9);
+  EXPECT_NEAR(margin.sd, 0.01 * std::hypot(4.68e-2, 0.71), 1e-9) << "the tare adds nothing to this estimate";
+  EXPECT_EQ(margin.verdict, ParameterVerdict::Fail);
+  EXPECT_EQ(record.verdict, Verdict::Fail);
+  EXPECT_THAT(record.reason,
+              HasSubstr("holding-margin at force_N 20000 is 0.2308 N m, above its upper limit 0.2 N m"));
+}
+
+TEST_P(Session, WithoutAnEstimateTheSheetIsEmpty) {
+  context.sheet =
+      *parse_sheet("revision = \"7\"\n[[characteristic]]\nkind = \"drag\"\nunit = \"N m\"\nspeed_rad_s = 9\n",
+                   "sheet.toml");
+  const CheckRecord record = check({}, finds(nominal_parameters()));
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  ASSERT_TRUE(record.sheet);
+  EXPECT_TRUE(record.sheet->characteristics.empty());
+}
 
 TEST_P(Session, ShowsItsProgress) {
   CheckSession session(configuration, limits, request, context, finds(nominal_parameters()), GetParam());

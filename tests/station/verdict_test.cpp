@@ -65,6 +65,85 @@ TEST(Judge, GuardBandsOfItsOwnTakeThePlaceOfTheLimits) {
   EXPECT_FALSE(judged(facts).marginal) << "each parameter has its own";
 }
 
+/// Two lines with limits and one without, of the given estimates.
+std::vector<CharacteristicRecord> sheet_of(const CharacteristicEstimate& time,
+                                           const CharacteristicEstimate& margin) {
+  const Result<Sheet> sheet = parse_sheet(R"(revision = "1"
+[[characteristic]]
+name = "response"
+kind = "apply-time"
+unit = "s"
+force_N = 20000
+share = 0.9
+clearance_rad = 6
+upper = 0.15
+[[characteristic]]
+name = "holding"
+kind = "holding-margin"
+unit = "N m"
+force_N = 20000
+lower = 0
+upper = 0.4
+[[characteristic]]
+kind = "drag"
+unit = "N m"
+speed_rad_s = 50
+)",
+                                          "sheet.toml");
+  EXPECT_TRUE(sheet) << sheet.error().message;
+  return judge_sheet(sheet->characteristics,
+                     {time, margin, {CharacteristicEstimate::State::Known, 0.1, 0.01, ""}}, 2.0);
+}
+
+TEST(JudgeSheet, CountsInTheVerdictByTheSameRule) {
+  using State = CharacteristicEstimate::State;
+  const CharacteristicEstimate good_time{State::Known, 0.14, 1e-3, ""},
+      good_margin{State::Known, 0.2, 0.01, ""};
+  const auto with = [](const CharacteristicEstimate& time, const CharacteristicEstimate& margin) {
+    CheckFacts facts = good_facts();
+    facts.characteristics = sheet_of(time, margin);
+    return judged(facts);
+  };
+  const Judgement pass = with(good_time, good_margin);
+  EXPECT_EQ(pass.verdict, Verdict::Pass) << pass.reason;
+  EXPECT_EQ(pass.reason, "All seven parameters and 2 of the sheet are within their limits.");
+  EXPECT_EQ(pass.parameters.size(), kParameterCount);
+  ASSERT_EQ(pass.characteristics.size(), 3u);
+  EXPECT_EQ(pass.characteristics[0].verdict, ParameterVerdict::Pass);
+  EXPECT_FALSE(pass.characteristics[2].verdict) << "it has no limits";
+
+  const Judgement slow = with({State::Known, 0.153, 1e-3, ""}, good_margin);
+  EXPECT_EQ(slow.verdict, Verdict::Fail);
+  EXPECT_FALSE(slow.marginal);
+  EXPECT_EQ(slow.reason, "response is 0.153 s, above its upper limit 0.15 s.");
+
+  const Judgement near = with({State::Known, 0.149, 1e-3, ""}, good_margin);
+  EXPECT_EQ(near.verdict, Verdict::Pass);
+  EXPECT_TRUE(near.marginal && near.undecided);
+  EXPECT_THAT(near.reason, HasSubstr("response is 0.149 s, close to its upper limit 0.15 s"));
+
+  const Judgement slightly = with(good_time, {State::Known, -0.001, 0.01, ""});
+  EXPECT_EQ(slightly.verdict, Verdict::Fail);
+  EXPECT_TRUE(slightly.marginal);
+
+  const Judgement wide = with(good_time, {State::Known, 0.2, 0.2, ""});
+  EXPECT_EQ(wide.verdict, Verdict::Error);
+  EXPECT_THAT(wide.reason, HasSubstr("holding is too uncertain to be judged"));
+}
+
+TEST(JudgeSheet, WhatIsNotReachedFailsAndWhatIsNotKnownIsAnError) {
+  using State = CharacteristicEstimate::State;
+  const CharacteristicEstimate good_margin{State::Known, 0.2, 0.01, ""};
+  CheckFacts facts = good_facts();
+  facts.characteristics =
+      sheet_of({State::NotReached, kNaN, kNaN, "this brake does not get there"}, good_margin);
+  EXPECT_EQ(judged(facts).verdict, Verdict::Fail);
+  EXPECT_EQ(judged(facts).reason, "response is not reached.");
+  facts.characteristics = sheet_of({State::Unknown, kNaN, kNaN, "it needs ws"}, good_margin);
+  EXPECT_EQ(judged(facts).verdict, Verdict::Error);
+  EXPECT_EQ(judged(facts).reason, "response is not known, so that it cannot be judged: it needs ws.");
+}
+
 TEST(Judge, ASoftCaliperFailsByName) {
   CheckFacts facts = good_facts();
   facts.estimate[k2] *= 0.7;

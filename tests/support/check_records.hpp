@@ -1,12 +1,37 @@
 #pragma once
 
 #include <cmath>
+#include <limits>
 #include <string>
 
 #include "clampd/record/check_record.hpp"
 #include "clampd/record/checksum.hpp"
 
 namespace clampd::support {
+
+/// Lines of all sorts: within and beyond one or two limits, without any, not reached and not known.
+inline SheetRecord make_sheet_record() {
+  constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+  constexpr double kNoLimit = std::numeric_limits<double>::infinity();
+  SheetRecord sheet{"configs/sheet.toml", "4", std::string(64, 'c'), true, {}};
+  sheet.characteristics = {
+      {"apply-time at force_N 20000, share 0.9", "apply-time", "s", 0.1523, 4.7e-5, -kNoLimit, 0.14,
+       ParameterVerdict::Fail},
+      {"stiffness, 20 kN", "stiffness", "N/rad", 951.25, 0.6, 800.0, 1500.0, ParameterVerdict::Pass},
+      {"drag", "drag", "N m", 0.0915, 0.001, -kNoLimit, kNoLimit},
+      {"to 27 kN", "apply-time", "s", kNaN, kNaN, -kNoLimit, 0.2, ParameterVerdict::Fail,
+       "this brake does not get there"},
+      {"holding",
+       "holding-margin",
+       "N m",
+       kNaN,
+       kNaN,
+       0.0,
+       kNoLimit,
+       {},
+       "it needs mus, which these runs do not determine"}};
+  return sheet;
+}
 
 /// A complete record with every field away from its default, for tests of what keeps or shows records.
 inline CheckRecord make_check_record(const std::string& id = "20261120T234107123Z-9f3a61c2") {

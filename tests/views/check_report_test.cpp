@@ -49,6 +49,16 @@ TEST_F(CheckReport, ShowsTheGuardBandThatTheVerdictUsed) {
   EXPECT_THAT(page_of(contents), HasSubstr("guard band, 2.61 standard deviations to either side"));
 }
 
+TEST_F(CheckReport, ShowsTheSheet) {
+  EXPECT_THAT(page_of(contents), Not(HasSubstr("95 % from")));
+  contents.check.sheet = support::make_sheet_record();
+  const std::string page = page_of(contents);
+  for (const char* expected :
+       {"95 % from", "apply-time at force_N 20000", "950.07", "952.43", "not reached", "no limits",
+        "not known: it needs mus", "does not explain all of this brake", "revision 4 (configs/sheet.toml)"})
+    EXPECT_THAT(page, HasSubstr(expected));
+}
+
 TEST_F(CheckReport, AnInvalidCheckSaysSoAndNamesItsCause) {
   contents.check.verdict = Verdict::Error;
   contents.check.cause =

@@ -38,6 +38,21 @@ TEST(FormatCheck, SaysWhatATechnicianAsks) {
   EXPECT_LE(widest_line(text), 100u);
 }
 
+TEST(FormatCheck, ShowsTheSheet) {
+  CheckRecord record = support::make_check_record();
+  EXPECT_THAT(format_check(record, false), Not(HasSubstr("sheet")));
+  record.sheet = support::make_sheet_record();
+  const std::string text = format_check(record, false);
+  SCOPED_TRACE(text);
+  for (const char* wanted :
+       {"apply-time at force_N 20000, share 0.9", "0.1523", "± 4.7e-05", "… 0.14", "FAIL", "800 … 1500",
+        "0 …", "not reached", "this brake does not get there", "not known",
+        "it needs mus, which these runs do not determine",
+        "The model does not explain all of this brake's motion", "Sheet     revision 4 (configs/sheet.toml)"})
+    EXPECT_THAT(text, HasSubstr(wanted));
+  EXPECT_LE(widest_line(text), 100u);
+}
+
 TEST(FormatCheck, TheParametersOfEffectsFitIn) {
   CheckRecord record = support::make_check_record();
   record.parameters.push_back(

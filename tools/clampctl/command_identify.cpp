@@ -5,11 +5,16 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "clampd/archive/json.hpp"
 #include "clampd/base/json.hpp"
 #include "clampd/brake/extended_brake.hpp"
 #include "clampd/identify/extended_identification.hpp"
 #include "clampd/identify/profile.hpp"
+#include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/record/run.hpp"
+#include "clampd/sheet/evaluation.hpp"
+#include "clampd/station/verdict.hpp"
+#include "clampd/views/check_table.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
@@ -26,10 +31,29 @@ struct IdentifyOptions {
   std::vector<std::string> held;
   std::vector<std::string> profiles;
   bool robust = false;
+  std::string sheet_file;
   std::string json;
   EstimatorOptions estimator;
   std::optional<ExtendedParameters> extended;  ///< of the model file
+  std::optional<Sheet> sheet;                  ///< of the sheet file
 };
+
+/// Half width of the guard band of a sheet in standard deviations: that of the shipped limits.
+constexpr double kGuardBand = 2.0;
+
+/// What the runs say of the sheet's characteristics.
+SheetRecord judged_sheet(const Sheet& sheet, const Estimate& summary, const std::vector<Run>& runs,
+                         const BrakeParameters& nominal) {
+  const ResidualKind kind =
+      summary.method == Method::PredictionError ? ResidualKind::Innovations : ResidualKind::OutputError;
+  const SystematicMisfit misfit = systematic_misfit(runs, summary, kind);
+  const bool is_marked = misfit.counts(summary.covariance_normalised.diagonal().cwiseSqrt());
+  const Posterior posterior =
+      is_marked ? posterior_of(summary, misfit.covariance_normalised) : posterior_of(summary);
+  return {
+      sheet.file, sheet.revision, sheet.sha256, is_marked,
+      judge_sheet(sheet.characteristics, evaluate(sheet.characteristics, posterior, nominal), kGuardBand)};
+}
 
 /// Beyond this correlation two parameters are hard to tell apart.
 constexpr double kHardToTellApart = 0.95;
@@ -235,6 +259,11 @@ int identify_files(IdentifyOptions options) {
     if (!start) return cli::refuse(start.error());
     settings.start = *start;
   }
+  if (!options.sheet_file.empty()) {
+    Result<Sheet> sheet = read_sheet(options.sheet_file);
+    if (!sheet) return cli::refuse(sheet.error());
+    options.sheet = std::move(*sheet);
+  }
   settings.loss = options.robust ? Loss::Robust : Loss::Squared;
   for (const std::string& name : options.held) {
     const Result<std::size_t> parameter = parameter_named(name);
@@ -274,10 +303,19 @@ int identify_files(IdentifyOptions options) {
   } else if (!to_profile.empty()) {
     cli::print_notice("no profile likelihood, since there is no estimate to start it from");
   }
-  if (const Result<void> written = cli::write_json(options.json, identify_json(summary, options, profiles));
-      !written)
+  std::optional<SheetRecord> sheet;
+  if (options.sheet)
+    sheet = judged_sheet(*options.sheet, summary, runs, BrakeParameters{.fixed = settings.start.fixed});
+  nlohmann::ordered_json document = identify_json(summary, options, profiles);
+  if (sheet)
+    for (const CharacteristicRecord& line : sheet->characteristics)
+      document["sheet"].push_back(characteristic_json(line, sheet->misfit_marked));
+  if (const Result<void> written = cli::write_json(options.json, document); !written)
     return cli::refuse(written.error());
-  if (options.json != "-") print_table(summary, options, profiles);
+  if (options.json != "-") {
+    print_table(summary, options, profiles);
+    if (sheet) fmt::print("\n{}", format_sheet(*sheet, cli::colours_wanted()));
+  }
   if (summary.termination != Termination::Unexplained) return cli::kSuccess;
   cli::print_error(summary.message + "; `clampctl diagnose` looks for the cause");
   return cli::kStation;
@@ -324,9 +362,14 @@ void add_identify_command(CLI::App& app, int& exit_code) {
       ->add_option("--profile", options->profiles,
                    "profile likelihood of these parameters: an interval without the normal approximation")
       ->type_name("NAME");
+  command
+      ->add_option(
+          "--sheet", options->sheet_file,
+          "what a requirement sheet asks of this brake, response times, drag, holding, as the runs have it")
+      ->type_name("SHEET.toml");
   command->add_option("--json", options->json, "write the result as clampd.identify/1; - for standard output")
       ->type_name("FILE");
-  for (const char* other : {"--parameters", "--profile", "--robust"})
+  for (const char* other : {"--parameters", "--profile", "--robust", "--sheet"})
     command->get_option("--model")->excludes(command->get_option(other));
   command->callback([options, command, &exit_code] {
     if (!options->model.empty() && command->count("--method") > 0 &&

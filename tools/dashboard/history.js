@@ -3,7 +3,7 @@
 import { ask, kArchivePatience_ms } from '/api.js';
 import { shortNumber } from '/charts.js';
 import { $, element, localText, setText, utcText } from '/page.js';
-import { drawRun, kChannels, showParameters } from '/results.js';
+import { drawRun, kChannels, showParameters, showSheet } from '/results.js';
 import { causeText, reasonText } from '/words.js';
 
 const kMostListed = 1000;
@@ -123,6 +123,7 @@ async function choose(id) {
   const list = element('dl');
   for (const [name, value] of Object.entries(factsOf(check))) if (value) list.append(element('dt', { textContent: name }), element('dd', { textContent: value }));
   const parameters = element('div', { className: 'parameters' });
+  const sheet = element('div', { className: 'sheet' });
   const runs = element('select', { ariaLabel: 'run' }, ...check.runs.map((_, i) => element('option', { value: i, textContent: `run ${i + 1}` })));
   const charts = runCharts();
   detail.replaceChildren(
@@ -131,8 +132,9 @@ async function choose(id) {
     element('p', { textContent: reasonText(check.reason) }),
     ...(check.void ? [element('p', { textContent: `VOID, by ${check.void.by}, ${utcText(check.void.when)}: ${check.void.reason}` })] : []),
     ...(check.cause ? [element('p', {}, element('b', { textContent: causeText(check.cause) }))] : []),
-    parameters, list, element('p', { className: 'quiet', textContent: `The whole report: clampctl report ${check.record}` }), ...(check.runs.length > 0 ? [runs, ...charts] : []));
+    parameters, sheet, list, element('p', { className: 'quiet', textContent: `The whole report: clampctl report ${check.record}` }), ...(check.runs.length > 0 ? [runs, ...charts] : []));
   showParameters(parameters, check.parameters);
+  showSheet(sheet, check.sheet);
   const drawPast = async () => {
     try {
       drawRun('past', await ask(`${address}/runs/${runs.value}`, { within_ms: kArchivePatience_ms }), reference);

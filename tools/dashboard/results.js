@@ -30,6 +30,29 @@ export function showParameters(box, parameters) {
   });
 }
 
+/** "… 0.14 s", "0.1 … 0.2 s": the limits that there are. */
+function limitsText({ lower, upper, unit }) {
+  if (lower === null && upper === null) return 'no limits';
+  return `${lower === null ? '' : `${shortNumber(lower)} `}…${upper === null ? '' : ` ${shortNumber(upper)}`} ${unitText(unit)}`;
+}
+
+/** What the requirement sheet asks for; hidden where the station has none. */
+export function showSheet(box, sheet) {
+  const lines = sheet?.characteristics ?? [];
+  box.hidden = lines.length === 0;
+  box.replaceChildren(
+    element('h2', { textContent: 'Sheet ' }, element('span', { className: 'quiet', textContent: 'value ± 2 sd, limits' })),
+    ...(lines.some((line) => line.misfit_marked) ? [element('p', { className: 'quiet', textContent: 'The model does not explain all of this brake’s motion: the deviations count it.' })] : []),
+    ...lines.map((line) => {
+      const unknown = line.verdict === 'fail' ? 'not reached' : `not known: ${line.why}`;
+      return element('div', { className: 'characteristic' },
+                     element('span', { textContent: line.name }),
+                     element('b', { textContent: line.value === null ? unknown : valueText(line) }),
+                     element('small', { textContent: limitsText(line) }),
+                     element('span', { className: `word ${line.verdict ?? ''}`, textContent: line.verdict === 'fail' ? 'FAIL' : line.verdict ?? '' }));
+    }));
+}
+
 export const kChannels = [
   { key: 'force_N', svg: 'force', title: 'clamp force, kN', scale: 1e-3 },
   { key: 'velocity_rad_s', svg: 'velocity', title: 'motor speed, rad/s', scale: 1 },

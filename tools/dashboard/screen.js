@@ -4,7 +4,7 @@ import { ask, keepToken, kPatience_ms } from '/api.js';
 import { histogram, shortNumber } from '/charts.js';
 import { listHistory } from '/history.js';
 import { $, element, fixed, setText } from '/page.js';
-import { drawRun, kChannels, showParameters } from '/results.js';
+import { drawRun, kChannels, showParameters, showSheet } from '/results.js';
 import { drawStatistics, showStatistics } from '/statistics.js';
 import { actionText, causeText, kParameterNames, reasonText } from '/words.js';
 
@@ -195,6 +195,7 @@ async function followRun() {
 function showRecord() {
   const parameters = record?.parameters ?? [];
   showParameters($('parameters'), parameters.length > 0 ? parameters : kParameterNames.map((name) => ({ name, unit: '', verdict: '' })));
+  showSheet($('sheet'), record?.sheet);
   if (!record) {
     setText($('timing-text'), '');
     return histogram($('timing'), []);

@@ -12,6 +12,9 @@ namespace clampd {
 /// The document of `clampctl run --json`, schema clampd.check/1. Numbers that are not finite become null.
 nlohmann::ordered_json check_json(const CheckRecord& record);
 
+/// A line of its "sheet"; `misfit_marked`: of the sheet, so that each line says it.
+nlohmann::ordered_json characteristic_json(const CharacteristicRecord& line, bool misfit_marked);
+
 /// Its "cause".
 nlohmann::ordered_json cause_json(const CauseRecord& cause);
 

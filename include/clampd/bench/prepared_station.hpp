@@ -7,6 +7,7 @@
 #include "clampd/base/result.hpp"
 #include "clampd/brake/extended_brake.hpp"
 #include "clampd/record/reference.hpp"
+#include "clampd/sheet/sheet.hpp"
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"
 #include "drivers/can/codec.hpp"
@@ -21,6 +22,7 @@ namespace clampd::bench {
 struct PreparedStation {
   StationConfiguration configuration;
   LimitSet limits;
+  std::optional<Sheet> sheet;
   std::optional<ExtendedParameters> model;  ///< whose effects a check estimates too
   can::ProtocolCodec codec;
   rt::CheckPlan plan;  ///< with the configured number of repeats

@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "clampd/record/run.hpp"
@@ -33,6 +34,35 @@ struct ParameterRecord {
   double lower = 0.0;
   double upper = 0.0;
   ParameterVerdict verdict = ParameterVerdict::Fail;
+};
+
+/// One line of the sheet: a characteristic of the brake against its limits, all in `unit`.
+struct CharacteristicRecord {
+  std::string name;
+  std::string kind;
+  std::string unit;
+  double value = 0.0;  ///< NaN: it is not known, or not reached
+  double sd = 0.0;     ///< the 95 % interval is the value ± 1.96 of them
+  double lower = 0.0;  ///< -infinity: no lower limit
+  double upper = 0.0;  ///< infinity: no upper limit
+  /// Nothing: there are no limits, or it is not known.
+  std::optional<ParameterVerdict> verdict = {};
+  std::string why = {};  ///< there is no value; empty where there is one
+
+  bool has_limits() const;
+  bool is_known() const;
+};
+
+/// The two ends of the 95 % interval; NaN where it is not known.
+std::pair<double, double> interval_95(const CharacteristicRecord& line);
+
+/// What a requirement sheet asks of a brake, and what the check says of it.
+struct SheetRecord {
+  std::string file;
+  std::string revision;
+  std::string sha256;
+  bool misfit_marked = false;  ///< the model does not explain all of this brake's motion: deviations count it
+  std::vector<CharacteristicRecord> characteristics;  ///< empty where there is no estimate
 };
 
 /// Wake-up lateness of the loop, in cyclictest's words, and what it missed.
@@ -134,6 +164,7 @@ struct CheckRecord {
   std::optional<VoidRecord> voided;  ///< said later: it stays on record, but counts in no statistics
 
   std::vector<ParameterRecord> parameters;    ///< the seven, then "EFFECT.PARAMETER" of an extended model
+  std::optional<SheetRecord> sheet;           ///< nothing where the station has none
   std::vector<double> covariance_normalised;  ///< 7 x 7, row-major; empty where there is no fit
   std::string method;                         ///< of identification: oem or pem
   double noise_force_N = 0.0;

@@ -13,6 +13,7 @@
 #include "clampd/ports/brake_port.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/record/sample.hpp"
+#include "clampd/sheet/sheet.hpp"
 #include "clampd/station/configuration.hpp"
 #include "clampd/station/limits.hpp"
 #include "clampd/station/run_collector.hpp"
@@ -54,6 +55,7 @@ struct CheckContext {
   std::string software_version;
   std::int64_t started_utc_ns = 0;
   std::optional<TorqueWhileOff> torque_while_off = {};  ///< before the check, if there was time for it
+  std::optional<Sheet> sheet = {};                      ///< what is asked of the brake beside its parameters
 };
 
 /// What the station knows when the check has ended.
@@ -123,7 +125,7 @@ class CheckSession {
   void record_stopping(const CheckFacts& facts, const Judgement& judgement, const Estimate& joint,
                        CheckRecord& record) const;
   std::optional<SystematicRecord> count_misfit(const Estimate& joint, const std::vector<RunRecord>& runs,
-                                               ParameterVector& sd) const;
+                                               ParameterVector& sd, ParameterMatrix& added) const;
   std::optional<SystematicRecord> add_estimate(const Estimate& joint, const std::vector<RunRecord>& runs,
                                                CheckFacts& facts) const;
   CheckFacts facts_of(CheckOutcome& outcome, const Estimate& joint, CheckRecord& record) const;
@@ -131,6 +133,7 @@ class CheckSession {
 
   StationConfiguration configuration_;
   LimitSet limits_;
+  std::optional<Sheet> sheet_;
   std::int64_t started_utc_ns_;
   PlannedRepeats repeats_;
   std::optional<StoppingRule> stopping_;  ///< nothing: a fixed number
@@ -145,8 +148,8 @@ class CheckSession {
   std::atomic<std::uint32_t> recorded_{0};
 };
 
-/// What the tare's own uncertainty adds to it (normalised, in quadrature): all repeats share one tare, so
-/// that their scatter does not show it.
-ParameterVector tare_sd_normalised(const Estimate& joint, const Tare& tare);
+/// What the tare's own uncertainty adds to that of theta / theta_nom: all repeats share one tare, so that
+/// their scatter does not show it.
+ParameterMatrix tare_covariance_normalised(const Estimate& joint, const Tare& tare);
 
 }  // namespace clampd
