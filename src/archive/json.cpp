@@ -100,6 +100,7 @@ ordered_json characteristic_json(const CharacteristicRecord& line, bool misfit_m
   const auto [low, high] = interval_95(line);
   return {{"name", line.name},
           {"kind", line.kind},
+          {"circumstances", line.circumstances},
           {"unit", line.unit},
           {"value", number_or_null(line.value)},
           {"sd", number_or_null(line.sd)},

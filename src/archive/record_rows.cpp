@@ -87,6 +87,7 @@ std::string sheet_text(const std::optional<SheetRecord>& sheet) {
       if (std::isfinite(value)) line[key] = value;
     if (c.verdict) line["verdict"] = static_cast<int>(*c.verdict);
     if (!c.why.empty()) line["why"] = c.why;
+    if (!c.circumstances.empty()) line["circumstances"] = c.circumstances;
     lines.push_back(std::move(line));
   }
   return nlohmann::json{{"file", sheet->file},
@@ -119,6 +120,7 @@ std::optional<SheetRecord> sheet_from(const std::string& text) {
         verdict >= 0 && verdict <= static_cast<int>(ParameterVerdict::Fail))
       c.verdict = static_cast<ParameterVerdict>(verdict);
     c.why = line.value("why", "");
+    c.circumstances = line.value("circumstances", "");
     record.characteristics.push_back(std::move(c));
   }
   return record;

@@ -16,7 +16,7 @@ namespace {
 
 /// Step i brings the schema from version i to i + 1. Steps only add, so that stations of different versions
 /// may share a database; they are never changed.
-constexpr std::array<const char*, 1> kMigrations{R"sql(
+constexpr std::array<const char*, 2> kMigrations{R"sql(
 CREATE TABLE clampd.checks (
   id text PRIMARY KEY,
   serial text NOT NULL, part_number text NOT NULL, batch text NOT NULL,
@@ -42,6 +42,9 @@ CREATE TABLE clampd.runs (
   name text NOT NULL, sha256 text NOT NULL, tracking_rms_n double precision, tracking_max_n double precision,
   fit_force_rms_n double precision, fit_velocity_rms_rad_s double precision, converged boolean NOT NULL,
   estimate jsonb NOT NULL, PRIMARY KEY (check_id, position));
+)sql",
+                                               R"sql(
+ALTER TABLE clampd.checks ADD COLUMN sheet jsonb;
 )sql"};
 
 /// $1: the check's document. A check that is there is the same check: it was sent before, and its
@@ -50,7 +53,7 @@ constexpr const char* kInsertCheck = R"sql(
 INSERT INTO clampd.checks (id, serial, part_number, batch, station, fixture, operator, software_version,
   limits_file, limits_revision, limits_sha256, trajectory_sha256, instruments, simulated, started, stopped,
   duration_s, repeats, verdict, marginal, reason, fault, cause, method, noise_force_n, noise_velocity_rad_s,
-  noise_torque_nm, tracking_rms_n, timing, covariance_normalised, outbox_sequence)
+  noise_torque_nm, tracking_rms_n, timing, covariance_normalised, sheet, outbox_sequence)
 SELECT d->>'record', d->>'serial', d->>'part_number', d->>'batch', d->>'station', d->>'fixture',
   d->>'operator', d->>'software_version', d->'limits'->>'file', d->'limits'->>'revision', d->'limits'->>'sha256',
   d->>'trajectory_sha256', d->'instruments', (d->>'simulated')::boolean, NULLIF(d->>'started', '')::timestamptz,
@@ -58,7 +61,7 @@ SELECT d->>'record', d->>'serial', d->>'part_number', d->>'batch', d->>'station'
   d->>'verdict', (d->>'marginal')::boolean, d->>'reason', d->>'fault', NULLIF(d->'cause', 'null'), d->>'method',
   (d->'noise'->>'force_N')::double precision, (d->'noise'->>'velocity_rad_s')::double precision,
   (d->'noise'->>'torque_Nm')::double precision, (d->>'tracking_rms_N')::double precision, d->'timing',
-  d->'covariance_normalised', (d->'outbox'->>'sequence')::bigint
+  d->'covariance_normalised', NULLIF(d->'sheet', 'null'), (d->'outbox'->>'sequence')::bigint
 FROM (SELECT $1::jsonb AS d) AS document
 ON CONFLICT (id) DO NOTHING)sql";
 

@@ -18,14 +18,25 @@ CharacteristicEstimate no_number(State state, std::string why) {
   return {state, kNaN, kNaN, std::move(why)};
 }
 
-/// Which of the needed parameters is not known; empty if all are.
+/// Why one of the needed parameters is not known; empty if all are. A parameter that was held has no
+/// variance: runs say nothing about it.
 std::string missing(const CharacteristicKind& kind, const Posterior& posterior) {
-  for (const Parameter parameter : kind.needs)
-    if (const auto i = static_cast<Eigen::Index>(parameter);
-        !std::isfinite(posterior.parameters.theta[i]) ||
-        !std::isfinite(posterior.covariance_normalised(i, i)))
-      return fmt::format("it needs {}, which these runs do not determine", kParameterTable[parameter].name);
-  return {};
+  std::string why;
+  for (const Parameter parameter : kind.needs) {
+    const auto i = static_cast<Eigen::Index>(parameter);
+    const double variance = posterior.covariance_normalised(i, i);
+    const std::string_view name = kParameterTable[parameter].name;
+    if (!std::isfinite(posterior.parameters.theta[i]))
+      return fmt::format("it needs {}, which these runs do not determine", name);
+    if (variance == 0.0 && why.empty())
+      why = fmt::format("it needs {}, which was held and not identified", name);
+    if (!std::isfinite(variance) && why.empty())
+      why = fmt::format(
+          "it needs {}, whose uncertainty is not known while other parameters are not identifiable: hold "
+          "those",
+          name);
+  }
+  return why;
 }
 
 /// One standard deviation along each principal axis of what the kind needs, a column each, in SI.

@@ -107,6 +107,14 @@ bool Characteristic::has_limits() const {
   return std::isfinite(lower) || std::isfinite(upper);
 }
 
+std::string circumstances_text(const Characteristic& characteristic) {
+  std::string text;
+  for (const CircumstanceInfo& info : characteristic.kind->circumstances)
+    text += fmt::format("{}{} {:g}", text.empty() ? "" : ", ", info.key,
+                        characteristic.circumstances.*info.member);
+  return text;
+}
+
 Result<Sheet> parse_sheet(const std::string& text, const std::string& path) {
   const Result<toml::table> parsed = parse_toml(text, path);
   if (!parsed) return tl::unexpected(parsed.error());

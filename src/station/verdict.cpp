@@ -170,6 +170,7 @@ std::vector<CharacteristicRecord> judge_sheet(const std::vector<Characteristic>&
     CharacteristicRecord line{
         name, std::string(kind->name), std::string(kind->unit), estimate.value, estimate.sd, lower, upper};
     line.why = estimate.why;
+    line.circumstances = circumstances_text(characteristics[i]);
     if (characteristics[i].has_limits() && estimate.state != State::Unknown)
       line.verdict = estimate.state == State::NotReached
                          ? ParameterVerdict::Fail

@@ -76,6 +76,13 @@ void write_parameters(Page& page, const CheckRecord& check) {
   page.table(table);
 }
 
+/// "800 … 1500", "… 0.14", "0 …": a limit that is not there leaves its side empty.
+std::string limits_of(const CharacteristicRecord& line) {
+  if (!line.has_limits()) return "–";
+  return fmt::format("{}…{}", std::isfinite(line.lower) ? number(line.lower, 5) + " " : "",
+                     std::isfinite(line.upper) ? " " + number(line.upper, 5) : "");
+}
+
 void write_sheet(Page& page, const SheetRecord& sheet) {
   if (sheet.characteristics.empty()) return;
   page.section("Sheet");
@@ -84,29 +91,29 @@ void write_sheet(Page& page, const SheetRecord& sheet) {
         "The model does not explain all of this brake's motion: the deviations below count it, and what it "
         "does not "
         "show the sheet does not either.");
-  Table table{
-      "What the requirement sheet asks for, from the identified parameters and their uncertainty: value, "
-      "95 % interval and limits.",
-      {{"characteristic", false},
-       {"value", true},
-       {"95 % from", true},
-       {"to", true},
-       {"lower limit", true},
-       {"upper limit", true},
-       {"unit", false},
-       {"verdict", false}},
-      {}};
+  Table table{"What the requirement sheet asks for, from the identified parameters and their uncertainty.",
+              {{"characteristic", false},
+               {"value", true},
+               {"95 % interval", true},
+               {"limits", true},
+               {"unit", false},
+               {"verdict", false}},
+              {}};
+  std::vector<std::pair<std::string, std::string>> circumstances;
   for (const CharacteristicRecord& line : sheet.characteristics) {
     const auto [low, high] = interval_95(line);
-    const std::string unknown = line.verdict ? "not reached" : "not known: " + line.why;
-    table.rows.push_back({line.name, number(line.value, 5), number(low, 5), number(high, 5),
-                          number(line.lower, 5), number(line.upper, 5), line.unit,
-                          line.verdict && line.is_known()
-                              ? Cell(std::string(to_string(*line.verdict)), tone_of(*line.verdict))
-                          : line.is_known() ? Cell("no limits")
-                                            : Cell(unknown, line.verdict ? Tone::Bad : Tone::Mixed)});
+    const Cell known = line.verdict ? Cell(std::string(to_string(*line.verdict)), tone_of(*line.verdict))
+                                    : Cell("no limits");
+    const Cell unknown =
+        line.verdict ? Cell("not reached", Tone::Bad) : Cell("not known: " + line.why, Tone::Mixed);
+    table.rows.push_back({line.name, number(line.value, 5),
+                          line.is_known() ? number(low, 5) + " … " + number(high, 5) : "–", limits_of(line),
+                          line.unit, line.is_known() ? known : unknown});
+    circumstances.emplace_back(line.name, fmt::format("{}: {}", line.kind, line.circumstances));
   }
   page.table(table);
+  page.paragraph("Asked for, in full:");
+  page.definitions(circumstances);
 }
 
 /// Every parameter on a scale from its lower (0) to its upper limit (1).

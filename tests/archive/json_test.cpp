@@ -48,7 +48,7 @@ TEST(CheckJson, TellsWhatTheSheetSays) {
   ASSERT_EQ(sheet.at("characteristics").size(), 5u);
   EXPECT_EQ(sheet.at("characteristics")[1],
             ordered_json::parse(
-                R"({"name":"stiffness, 20 kN","kind":"stiffness","unit":"N/rad","value":951.25,"sd":0.6,
+                R"({"name":"stiffness, 20 kN","kind":"stiffness","circumstances":"force_N 20000","unit":"N/rad","value":951.25,"sd":0.6,
                                     "interval_95":[950.074,952.426],"lower":800.0,"upper":1500.0,"verdict":"pass",
                                     "misfit_marked":true,"why":null})"));
   EXPECT_TRUE(sheet.at("characteristics")[0].at("lower").is_null());

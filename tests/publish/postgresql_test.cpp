@@ -55,6 +55,7 @@ TEST_F(Postgresql, KeepsEveryCheckOnceAndInOrder) {
   odd.noise_torque_Nm = std::nan("");
   odd.cause =
       CauseRecord{"ambiguous", {"force-lag"}, "force-reading", {{"force-lag", "pad-damping"}}, "Late."};
+  odd.sheet = support::make_sheet_record();
   odd.stopped.clear();
   station.save_up_to(3);
   station.start(make_postgresql_channel(settings()));
@@ -76,6 +77,8 @@ TEST_F(Postgresql, KeepsEveryCheckOnceAndInOrder) {
   EXPECT_EQ(server->ask("SELECT noise_torque_nm IS NULL AND stopped IS NULL" + where), "t");
   EXPECT_EQ(server->ask("SELECT cause->'rivals'->0->>1" + where), "pad-damping");
   EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks WHERE cause IS NULL"), "20");
+  EXPECT_EQ(server->ask("SELECT sheet->'characteristics'->1->>'value'" + where), "951.25");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks WHERE sheet IS NULL"), "20");
 
   // The mark was lost, as by a kill between commit and mark.
   ASSERT_TRUE(
@@ -109,7 +112,7 @@ TEST_F(Postgresql, StationsShareADatabaseAndLaterOnesNeedFewRights) {
   other.start(make_postgresql_channel(settings()));
   ASSERT_TRUE(eventually([&] { return station.pending() == 0 && other.status().connected; }))
       << other.status().error;
-  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "1");
+  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "2");
   other.stop();
   server->column("CREATE ROLE bench LOGIN");
   PostgresqlSettings poor = settings();

@@ -153,6 +153,16 @@ TEST(SheetEvaluation, WhatNeedsAnUnknownParameterIsNotKnown) {
   }
 }
 
+TEST(SheetEvaluation, WhatNeedsAHeldParameterIsNotKnownEither) {
+  Posterior posterior = good_posterior();
+  posterior.covariance_normalised.row(Ts0).setZero();
+  posterior.covariance_normalised.col(Ts0).setZero();
+  EXPECT_THAT(evaluate_one("drag", kAt, posterior).why, HasSubstr("Ts0, which was held"));
+  EXPECT_EQ(evaluate_one("stiffness", kAt, posterior).state, State::Known);
+  posterior.covariance_normalised.setConstant(std::numeric_limits<double>::quiet_NaN());
+  EXPECT_THAT(evaluate_one("drag", kAt, posterior).why, HasSubstr("uncertainty is not known"));
+}
+
 // Every value is what it is by those parameters alone that the table names.
 TEST(SheetEvaluation, KindsNeedWhatTheyNeed) {
   for (const CharacteristicKind& kind : characteristic_kinds())

@@ -49,6 +49,8 @@ TEST(SheetFile, SaysWhatTheLineAsksFor) {
   ASSERT_EQ(sheet->characteristics.size(), 2u);
   const Characteristic& time = sheet->characteristics[0];
   EXPECT_EQ(time.name, "apply-time at force_N 20000, share 0.9, clearance_rad 6");
+  EXPECT_EQ(circumstances_text(time),
+            "force_N 20000, share 0.9, clearance_rad 6, torque_limit_Nm 3, speed_limit_rad_s 270");
   EXPECT_EQ(time.kind->unit, "s");
   EXPECT_EQ(time.circumstances.force_N, 20e3);
   EXPECT_EQ(time.circumstances.share, 0.9);

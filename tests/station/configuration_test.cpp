@@ -34,6 +34,12 @@ TEST(StationConfiguration, AnEmptyFileIsTheDefault) {
   EXPECT_EQ(configuration->database, default_database(true));
 }
 
+TEST(StationConfiguration, TheSheetsPathCountsFromTheFilesFolder) {
+  EXPECT_EQ(parse("")->sheet_file, "");
+  EXPECT_EQ(parse("[sheet]\nfile = \"sheet.toml\"\n")->sheet_file, "/etc/clampd/sheet.toml");
+  EXPECT_FALSE(parse("[sheet]\nfiles = \"sheet.toml\"\n"));
+}
+
 TEST(StationConfiguration, RetentionAndMasterBrake) {
   const auto read = parse(
       "[retention]\nraw_days = 90\nraw_megabytes = 500\npublished = [\"mqtt\", \"postgresql\"]\n"

@@ -30,6 +30,7 @@ inline SheetRecord make_sheet_record() {
        kNoLimit,
        {},
        "it needs mus, which these runs do not determine"}};
+  for (CharacteristicRecord& line : sheet.characteristics) line.circumstances = "force_N 20000";
   return sheet;
 }
 

@@ -238,6 +238,80 @@ TEST_F(CommandLine, NamesWhatARunCannotTell) {
   EXPECT_FALSE(document.at("parameters").at(2).at("value").is_null());
 }
 
+const std::string kShippedSheet = CLAMPD_SOURCE_DIR "/configs/sheet.toml";
+
+TEST_F(CommandLine, TellsWhatASheetAsksForFromRunsOnDisk) {
+  ASSERT_EQ(clampctl("simulate --manoeuvre optimal --repeats 4 --seed 5 --out runs").exit_code, 0);
+  const Outcome identified = clampctl("identify runs/*.csv --sheet " + kShippedSheet + " --json fit.json");
+  EXPECT_EQ(identified.exit_code, 0) << identified.output;
+  EXPECT_THAT(identified.output, HasSubstr("holding-margin at force_N 20000"));
+  const auto sheet = nlohmann::json::parse(read("fit.json")).at("sheet");
+  ASSERT_EQ(sheet.size(), 9u);
+  for (const auto& line : sheet) {
+    EXPECT_EQ(line.at("verdict"), "pass") << line;
+    EXPECT_GT(line.at("sd"), 0.0);
+    EXPECT_FALSE(line.at("misfit_marked"));
+  }
+  EXPECT_EQ(sheet[6].at("kind"), "holding-margin");
+  EXPECT_NEAR(sheet[6].at("value"), 0.2308, 4.0 * sheet[6].at("sd").get<double>()) << "of the nominal brake";
+  // Without one the document is as it was.
+  ASSERT_EQ(clampctl("identify runs/optimal-001.csv --json base.json").exit_code, 0);
+  EXPECT_FALSE(nlohmann::json::parse(read("base.json")).contains("sheet"));
+}
+
+TEST_F(CommandLine, NoCharacteristicHasANumberThatTheRunsDoNotGive) {
+  ASSERT_EQ(clampctl("simulate --manoeuvre clearance --out runs").exit_code, 0);
+  const Outcome identified = clampctl("identify runs/clearance-001.csv --hold k1 k2 mus --sheet " +
+                                      kShippedSheet + " --json fit.json");
+  EXPECT_EQ(identified.exit_code, 0) << identified.output;
+  EXPECT_THAT(identified.output, HasSubstr("not known"));
+  for (const auto& line : nlohmann::json::parse(read("fit.json")).at("sheet")) {
+    const bool is_without_load = line.at("kind") == "drag";
+    EXPECT_NE(line.at("value").is_null(), is_without_load) << line;
+    if (!is_without_load) {
+      EXPECT_THAT(line.at("why").get<std::string>(), HasSubstr("was held")) << line;
+    }
+  }
+  const Outcome nothing =
+      clampctl("identify runs/clearance-001.csv --sheet " + kShippedSheet + " --json fit.json");
+  EXPECT_EQ(nothing.exit_code, 0) << nothing.output;
+  for (const auto& line : nlohmann::json::parse(read("fit.json")).at("sheet"))
+    EXPECT_TRUE(line.at("value").is_null()) << line;
+}
+
+TEST_F(CommandLine, ChecksByASheet) {
+  write("sheet.toml",
+        "revision = \"9\"\n[[characteristic]]\nname = \"response\"\nkind = \"apply-time\"\nunit = \"s\"\n"
+        "force_N = 20000\nshare = 0.9\nclearance_rad = 6\nupper = 0.14\n"
+        "[[characteristic]]\nkind = \"drag\"\nunit = \"N m\"\nspeed_rad_s = 50\nupper = 0.2\n");
+  write("station.toml", "[sheet]\nfile = \"sheet.toml\"\n");
+  const Outcome slow = clampctl("run --config station.toml --serial SLOW --repeats 4 --json check.json");
+  EXPECT_EQ(slow.exit_code, 1) << slow.output;
+  auto document = nlohmann::json::parse(read("check.json"));
+  EXPECT_THAT(document.at("reason").get<std::string>(),
+              HasSubstr("response is 0.1458 s, above its upper limit 0.14 s."));
+  EXPECT_EQ(document.at("sheet").at("revision"), "9");
+  EXPECT_EQ(document.at("sheet").at("characteristics")[0].at("verdict"), "fail");
+  EXPECT_EQ(document.at("sheet").at("characteristics")[1].at("verdict"), "pass");
+  EXPECT_EQ(document.at("parameters").size(), 7u);
+  // On record as it was.
+  const Outcome shown = clampctl("results last --json --config station.toml");
+  EXPECT_EQ(nlohmann::json::parse(shown.output).at("sheet"), document.at("sheet"));
+  EXPECT_EQ(clampctl("report SLOW --out report.html --config station.toml").exit_code, 0);
+  EXPECT_THAT(read("report.html"), AllOf(HasSubstr("response"), HasSubstr("apply-time: force_N 20000")));
+
+  write("late.toml", "[effects]\nforce-lag = 0.0005\n");
+  ASSERT_NE(
+      clampctl("run --config station.toml --serial LATE --repeats 12 --simulated-brake late.toml --json "
+               "check.json")
+          .exit_code,
+      2);
+  document = nlohmann::json::parse(read("check.json"));
+  EXPECT_TRUE(document.at("systematic_misfit").at("marked")) << document;
+  for (const auto& line : document.at("sheet").at("characteristics"))
+    EXPECT_TRUE(line.at("misfit_marked")) << line;
+}
+
 TEST_F(CommandLine, SimulationsRepeatBitForBit) {
   for (const char* folder : {"a", "b"})
     ASSERT_EQ(clampctl("simulate --manoeuvre step --seed 9 --out " + std::string(folder)).exit_code, 0);
@@ -274,6 +348,12 @@ class BadInputs : public CommandLine, public ::testing::WithParamInterface<BadIn
     write("plant.toml", "[parameters]\nk2 = \"soft\"\n");
     write("effect.toml", "[[effect]]\nname = \"magic\"\n");
     write("model.toml", "[check]\nmodel = \"effect.toml\"\n");
+    write("sheet.toml", "revision=\"1\"\n[[characteristic]]\nkind=\"drag\"\nunit=\"mN m\"\nspeed_rad_s=50\n");
+    write("sheet_station.toml", "[sheet]\nfile = \"sheet.toml\"\n");
+    write("good_model.toml", "[[effect]]\nname = \"backlash\"\nplay = 0.2\n");
+    write("good_sheet.toml",
+          "revision=\"1\"\n[[characteristic]]\nkind=\"drag\"\nunit=\"N m\"\nspeed_rad_s=50\n");
+    write("sheet_model.toml", "[check]\nmodel = \"good_model.toml\"\n[sheet]\nfile = \"good_sheet.toml\"\n");
     write("occupied", "a file where a folder is wanted\n");
   }
 };
@@ -309,6 +389,12 @@ INSTANTIATE_TEST_SUITE_P(
         BadInput{"RunBadPlant", "run --serial A --simulated-brake plant.toml --json out.json", "plant.toml"},
         BadInput{"RunNoInterface", "run --serial A --config interface.toml --json out.json", "can77"},
         BadInput{"RunUnwritable", "run --serial A --json nowhere/out.json", "nowhere"},
+        BadInput{"RunBadSheet", "run --serial A --config sheet_station.toml --json out.json",
+                 "sheet.toml:4:6: drag is in N m"},
+        BadInput{"RunSheetAndModel", "run --serial A --config sheet_model.toml --json out.json",
+                 "effects that it does not count"},
+        BadInput{"IdentifyBadSheet", "identify word.csv --sheet sheet.toml --json out.json",
+                 "sheet.toml:4:6: drag is in N m"},
         BadInput{"IdentifyNoFile", "identify nowhere.csv --json out.json", "nowhere.csv"},
         BadInput{"IdentifyFolder", "identify . --json out.json", "."},
         BadInput{"IdentifyEmpty", "identify empty.csv --json out.json", "empty.csv"},

@@ -50,11 +50,11 @@ TEST_F(CheckReport, ShowsTheGuardBandThatTheVerdictUsed) {
 }
 
 TEST_F(CheckReport, ShowsTheSheet) {
-  EXPECT_THAT(page_of(contents), Not(HasSubstr("95 % from")));
+  EXPECT_THAT(page_of(contents), Not(HasSubstr("95 % interval")));
   contents.check.sheet = support::make_sheet_record();
   const std::string page = page_of(contents);
   for (const char* expected :
-       {"95 % from", "apply-time at force_N 20000", "950.07", "952.43", "not reached", "no limits",
+       {"95 % interval", "apply-time at force_N 20000", "950.07", "952.43", "not reached", "no limits",
         "not known: it needs mus", "does not explain all of this brake", "revision 4 (configs/sheet.toml)"})
     EXPECT_THAT(page, HasSubstr(expected));
 }

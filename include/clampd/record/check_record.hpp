@@ -47,7 +47,8 @@ struct CharacteristicRecord {
   double upper = 0.0;  ///< infinity: no upper limit
   /// Nothing: there are no limits, or it is not known.
   std::optional<ParameterVerdict> verdict = {};
-  std::string why = {};  ///< there is no value; empty where there is one
+  std::string why = {};            ///< there is no value; empty where there is one
+  std::string circumstances = {};  ///< that it is asked for in: "force_N 20000, share 0.9"
 
   bool has_limits() const;
   bool is_known() const;

@@ -13,7 +13,8 @@ namespace clampd {
 /// What is known of a brake when its runs have been identified.
 struct Posterior {
   BrakeParameters parameters;  ///< NaN: not identifiable
-  /// Of theta / theta_nom: what the identification reports, and all that is added to it (tare, misfit).
+  /// Of theta / theta_nom: what the identification reports, and all that is added to it (tare, misfit). NaN
+  /// where it is not known, zero of a parameter that was held.
   ParameterMatrix covariance_normalised = ParameterMatrix::Zero();
   std::string unknown;  ///< why nothing is known; empty: something is
 };

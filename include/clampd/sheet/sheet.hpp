@@ -60,6 +60,9 @@ struct Characteristic {
   bool has_limits() const;
 };
 
+/// All circumstances that its kind has, those that the file leaves out included: "force_N 20000, share 0.9".
+std::string circumstances_text(const Characteristic& characteristic);
+
 /// What a line asks of its brakes beside their parameters.
 struct Sheet {
   std::string file;
