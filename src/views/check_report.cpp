@@ -88,9 +88,8 @@ void write_sheet(Page& page, const SheetRecord& sheet) {
   page.section("Sheet");
   if (sheet.misfit_marked)
     page.paragraph(
-        "The model does not explain all of this brake's motion: the deviations below count it, and what it "
-        "does not "
-        "show the sheet does not either.");
+        "The model does not explain all of this brake's motion. The intervals below count that as far as it "
+        "shows.");
   Table table{"What the requirement sheet asks for, from the identified parameters and their uncertainty.",
               {{"characteristic", false},
                {"value", true},

@@ -180,9 +180,8 @@ std::string format_sheet(const SheetRecord& sheet, bool colour) {
   }
   if (sheet.misfit_marked)
     text += wrapped(
-        "The model does not explain all of this brake's motion: the deviations above count it, and what it "
-        "does "
-        "not show the sheet does not either.",
+        "The model does not explain all of this brake's motion. The deviations above count that as far as it "
+        "shows.",
         "  ");
   text += fmt::format("  Sheet     revision {} ({})\n", sheet.revision, sheet.file);
   return text;

@@ -162,6 +162,30 @@ TEST_F(Screen, AKeyboardAloneChecksABrakeAndBrowsesTheHistory) {
   EXPECT_THAT(browser_->complaints(), IsEmpty());
 }
 
+TEST_F(Screen, TheSheetStandsBelowTheParameters) {
+  folder_.write(
+      "sheet.toml",
+      "revision = \"1\"\n"
+      "[[characteristic]]\nkind = \"apply-time\"\nunit = \"s\"\nforce_N = 20000\nshare = 0.9\n"
+      "clearance_rad = 6\nupper = 0.1\n"
+      "[[characteristic]]\nkind = \"stiffness\"\nunit = \"N/rad\"\nforce_N = 20000\nlower = 800\n"
+      "[[characteristic]]\nname = \"drag <b>\"\nkind = \"drag\"\nunit = \"N m\"\nspeed_rad_s = 50\n");
+  start(kGoodBrake, 4, true, "[sheet]\nfile = \"sheet.toml\"\n");
+  ASSERT_TRUE(shows("READY", 15));
+  EXPECT_TRUE(browser_->value("document.getElementById('sheet').hidden").get<bool>())
+      << "nothing was checked yet";
+  browser_->type(std::string("EMB-2026-0003") + kEnter);
+  ASSERT_TRUE(shows("FAIL"));
+  ASSERT_TRUE(browser_->becomes("document.querySelectorAll('#sheet .characteristic').length === 3"));
+  picture("sheet");
+  const std::string text = browser_->text("#sheet");
+  EXPECT_THAT(text, AllOf(HasSubstr("apply-time at force_N 20000"), HasSubstr("0.1458"), HasSubstr("… 0.1 s"),
+                          HasSubstr("FAIL")));
+  EXPECT_THAT(text, AllOf(HasSubstr("800 …"), HasSubstr("drag <b>"), HasSubstr("no limits")));
+  EXPECT_EQ(browser_->value(kBeyondTheScreen), "");
+  EXPECT_THAT(browser_->complaints(), IsEmpty());
+}
+
 TEST_F(Screen, ASoftBrakeFailsInFullSize) {
   start("[parameters_normalised]\nk2 = 0.7\n", 6);
   ASSERT_TRUE(shows("READY", 15));
