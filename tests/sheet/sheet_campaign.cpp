@@ -8,11 +8,13 @@
 #include <optional>
 #include <ostream>
 #include <random>
+#include <stdexcept>
 
 #include <fmt/format.h>
 
 #include "clampd/experiment/reference.hpp"
 #include "clampd/identify/method.hpp"
+#include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/record/run.hpp"
 #include "clampd/sheet/evaluation.hpp"
 #include "clampd/simulation/simulate.hpp"
@@ -88,6 +90,16 @@ void count(CharacteristicCount& counts, const Characteristic& line, const Charac
   (is_marginal ? counts.marginal_wrong : counts.decided_wrong) += is_wrong;
 }
 
+/// What a check adds to the covariance for a systematic misfit; counts those that do.
+ParameterMatrix counted_misfit(const std::vector<Run>& runs, const Estimate& estimate, int& marked) {
+  const SystematicMisfit misfit = systematic_misfit(
+      runs, estimate,
+      estimate.method == Method::PredictionError ? ResidualKind::Innovations : ResidualKind::OutputError);
+  if (!misfit.counts(estimate.covariance_normalised.diagonal().cwiseSqrt())) return ParameterMatrix::Zero();
+  ++marked;
+  return misfit.covariance_normalised;
+}
+
 }  // namespace
 
 SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
@@ -95,8 +107,10 @@ SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
   const Reference reference =
       build_reference(read_run(std::string(CLAMPD_SOURCE_DIR) + "/configs/trajectory.csv").value().run, {})
           .value();
-  const sim::PlantConfiguration shipped =
+  sim::PlantConfiguration shipped =
       sim::read_plant_configuration(std::string(CLAMPD_SOURCE_DIR) + "/configs/plant.toml").value();
+  if (!options.effect.empty() && !sim::set_effect(shipped.effects, options.effect))
+    throw std::invalid_argument("no such effect: " + options.effect);
   SheetCampaign campaign;
   for (const Characteristic& line : lines)
     campaign.characteristics.push_back(
@@ -122,21 +136,30 @@ SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
     }
     ++campaign.brakes;
     const auto begin = std::chrono::steady_clock::now();
-    const std::vector<CharacteristicEstimate> sheet = evaluate(lines, posterior_of(estimate), {});
+    const int marked_before = campaign.marked;
+    const std::vector<CharacteristicEstimate> sheet =
+        evaluate(lines, posterior_of(estimate, counted_misfit(*runs, estimate, campaign.marked)), {});
     campaign.evaluation_s =
         std::max(campaign.evaluation_s,
                  std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
-    for (std::size_t k = 0; k < lines.size(); ++k)
+    int wrong = 0;
+    for (std::size_t k = 0; k < lines.size(); ++k) {
+      CharacteristicCount& counts = campaign.characteristics[k];
+      const int wrong_before = counts.decided_wrong;
       if (const std::optional<double> truth = measure(lines[k], plant))
-        count(campaign.characteristics[k], lines[k], sheet[k], *truth);
+        count(counts, lines[k], sheet[k], *truth);
+      wrong += counts.decided_wrong - wrong_before;
+    }
+    if (campaign.marked == marked_before) campaign.wrong_without_mark += wrong;
   }
   return campaign;
 }
 
 void print(std::ostream& out, const SheetCampaign& campaign) {
-  out << fmt::format("{} brakes, {} could not be driven, {} not identified; a sheet took {:.1f} ms at most\n",
-                     campaign.brakes, campaign.not_driven, campaign.not_identified,
-                     1e3 * campaign.evaluation_s);
+  out << fmt::format(
+      "{} brakes, {} could not be driven, {} not identified, {} marked; a sheet took {:.1f} ms at most\n",
+      campaign.brakes, campaign.not_driven, campaign.not_identified, campaign.marked,
+      1e3 * campaign.evaluation_s);
   int held = 0, known = 0, decided = 0, decided_wrong = 0, marginal = 0, marginal_wrong = 0;
   for (const CharacteristicCount& c : campaign.characteristics) {
     out << fmt::format(
@@ -155,9 +178,10 @@ void print(std::ostream& out, const SheetCampaign& campaign) {
     marginal_wrong += c.marginal_wrong;
   }
   out << fmt::format(
-      "all: coverage {:.2f} % of {}; wrong verdicts: {} of {} decided ({:.3f} %), {} of {} marginal\n",
+      "all: coverage {:.2f} % of {}; wrong verdicts: {} of {} decided ({:.3f} %; {} of them on "
+      "sheets without a misfit mark), {} of {} marginal\n",
       100.0 * held / std::max(1, known), known, decided_wrong, decided,
-      100.0 * decided_wrong / std::max(1, decided), marginal_wrong, marginal);
+      100.0 * decided_wrong / std::max(1, decided), campaign.wrong_without_mark, marginal_wrong, marginal);
 }
 
 }  // namespace clampd::support

@@ -14,6 +14,7 @@ struct SheetCampaignOptions {
   std::uint64_t seed = 1;
   int repeats = 6;
   Method method = Method::OutputError;
+  std::string effect;  ///< "NAME=VALUE", which the model lacks; empty: none
 };
 
 /// Of one characteristic over all brakes. Its limit is where a tenth of the brakes are beyond.
@@ -36,7 +37,9 @@ struct SheetCampaign {
   int brakes = 0;
   int not_driven = 0;
   int not_identified = 0;
-  double evaluation_s = 0.0;  ///< the longest evaluation of a sheet
+  int marked = 0;              ///< sheets that say that the model does not explain all of the motion
+  int wrong_without_mark = 0;  ///< verdicts that are decided and wrong, on sheets that are not marked
+  double evaluation_s = 0.0;   ///< the longest evaluation of a sheet
   std::vector<CharacteristicCount> characteristics;
 };
 

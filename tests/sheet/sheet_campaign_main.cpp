@@ -1,5 +1,5 @@
 // Does the sheet hold what the independent plant does? As many brakes as one likes:
-//   sheet_campaign [--brakes 2000] [--seed 1] [--repeats 6] [--method oem|pem]
+//   sheet_campaign [--brakes 2000] [--seed 1] [--repeats 6] [--method oem|pem] [--effect NAME=VALUE]
 
 #include <cstdlib>
 #include <iostream>
@@ -9,9 +9,9 @@
 
 int main(int argc, char** argv) {
   using namespace clampd::support;
-  SheetCampaignOptions options{.brakes = 2000};
+  SheetCampaignOptions options{.brakes = 2000, .effect = {}};
   for (int i = 1; i + 1 < argc; i += 2) {
-    const std::string_view option = argv[i];
+    const std::string_view option = argv[i], value = argv[i + 1];
     if (option == "--brakes")
       options.brakes = std::atoi(argv[i + 1]);
     else if (option == "--seed")
@@ -20,6 +20,8 @@ int main(int argc, char** argv) {
       options.repeats = std::atoi(argv[i + 1]);
     else if (option == "--method" && clampd::parse_method(argv[i + 1]))
       options.method = *clampd::parse_method(argv[i + 1]);
+    else if (option == "--effect")
+      options.effect = value;
     else {
       std::cerr << "sheet_campaign: '" << option << ' ' << argv[i + 1]
                 << "' is not known; see the head of its source\n";
