@@ -35,11 +35,11 @@ TEST(SheetCampaign, IntervalsHoldWhatThePlantDoes) {
   EXPECT_GT(held, 0.88 * known);
 }
 
-// Of a hundred such brakes 92 are marked after six repeats; fewer than 11 of 15 in one set of 10,000.
+// Of a hundred such brakes 92 are marked after six repeats: fewer than 10 of 15 in one set of a thousand.
 TEST(SheetCampaign, WhatTheModelLacksIsSaid) {
   const SheetCampaign campaign = run_sheet_campaign({.brakes = 15, .seed = 4, .effect = "force-lag=0.001"});
   print(std::cout, campaign);
-  EXPECT_GE(campaign.marked, 11);
+  EXPECT_GE(campaign.marked, 10);
 }
 
 }  // namespace
