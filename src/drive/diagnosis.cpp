@@ -57,9 +57,7 @@ Eigen::VectorXd known_torque(const DriveData& data, const DriveRange& range, con
           model.parts[t].value *
           plain.rows_of(variants_of(static_cast<DriveTerm>(t), range, data, model).front().functions.front());
   for (std::size_t c = 0; c < model.regressors.size(); ++c)
-    if (model.regressors[c].known_torque)
-      known += plain.rows_of(
-          {BasisFunction::Carrier::One, BasisFunction::Factor::Column, 0.0, 1.0, static_cast<int>(c)});
+    if (model.regressors[c].known_torque) known += plain.rows_of(known_torque_function(c));
   return known;
 }
 

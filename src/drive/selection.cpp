@@ -192,6 +192,12 @@ std::vector<FittedTerm> Selector::terms_of(const TorqueModel& model) const {
       terms.push_back(
           {term, std::string(name_of(term)), variants.front().functions, {model_.parts[t].value}});
     }
+  for (std::size_t c = 0; c < model_.regressors.size(); ++c)
+    if (model_.regressors[c].known_torque)
+      terms.push_back({DriveTerm::Regressor,
+                       fmt::format("{}:{}", name_of(DriveTerm::Regressor), model_.regressors[c].name),
+                       {known_torque_function(c)},
+                       {1.0}});
   return terms;
 }
 

@@ -54,6 +54,11 @@ struct Variant {
 std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const DriveData& data,
                                  const DriveModel& model);
 
+/// The user's own column as it is, which a known torque is.
+inline BasisFunction known_torque_function(std::size_t regressor) {
+  return {BasisFunction::Carrier::One, BasisFunction::Factor::Column, 0.0, 1.0, static_cast<int>(regressor)};
+}
+
 /// Changes the torque that the columns explain instead of adding one.
 inline bool changes_torque(const Variant& variant) {
   return variant.lag_s != 0.0 || variant.settling_s != 0.0 || variant.saturation != 0.0;

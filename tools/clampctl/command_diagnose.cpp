@@ -40,8 +40,12 @@ struct DiagnoseCommand {
 Result<void> check_outputs(const DiagnoseCommand& command) {
   const std::array outputs{
       cli::OutputOption{"--json", command.json}, cli::OutputOption{"--report", command.report},
-      cli::OutputOption{"--save", command.save}, cli::OutputOption{"--next", command.next, false}};
-  if (Result<void> checked = cli::check_outputs(outputs); !checked) return checked;
+      cli::OutputOption{"--save", command.save}, cli::OutputOption{"--next", command.next}};
+  std::vector<std::string> read = command.files;
+  read.insert(read.end(), command.heldout.begin(), command.heldout.end());
+  for (const std::string& file : {command.model, command.parameters})
+    if (!file.empty()) read.push_back(file);
+  if (Result<void> checked = cli::check_outputs(outputs, read); !checked) return checked;
   for (const std::string& held : command.heldout)
     if (std::find(command.files.begin(), command.files.end(), held) != command.files.end())
       return failure(fmt::format("{} cannot be fitted and held out; name it once", held));

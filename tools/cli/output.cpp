@@ -42,18 +42,29 @@ Result<void> check_document(const std::string& path) {
   return check_writable(path);
 }
 
+namespace {
+
+/// Two names of one file: "runs/../a.csv" and "a.csv", or a link.
+bool are_the_same(const std::string& a, const std::string& b) {
+  std::error_code failed;
+  return a == b || fs::equivalent(a, b, failed) ||
+         fs::weakly_canonical(a, failed) == fs::weakly_canonical(b, failed);
+}
+
+}  // namespace
+
 Result<void> check_outputs(std::span<const OutputOption> outputs, const std::vector<std::string>& read) {
   for (std::size_t i = 0; i < outputs.size(); ++i) {
-    const auto& [option, path, is_document] = outputs[i];
+    const auto& [option, path] = outputs[i];
     if (path.empty()) continue;
     if (path == "-" && option != "--json") return failure(fmt::format("{} needs the name of a file", option));
     for (const OutputOption& other : outputs.first(i))
-      if (other.path == path)
+      if (!other.path.empty() && are_the_same(other.path, path))
         return failure(fmt::format("{} and {} name the same file", other.option, option));
-    if (std::ranges::find(read, path) != read.end())
-      return failure(fmt::format("{} would overwrite {}, which is read", option, path));
-    if (Result<void> writable = is_document ? check_document(path) : check_writable(path); !writable)
-      return writable;
+    const auto taken = std::ranges::find_if(read, [&](const std::string& file) { return are_the_same(file, path); });
+    if (taken != read.end())
+      return failure(fmt::format("{} would overwrite {}, which is read; name another file", option, *taken));
+    if (Result<void> writable = check_document(path); !writable) return writable;
   }
   return {};
 }

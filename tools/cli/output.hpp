@@ -19,18 +19,17 @@ int refuse(const Error& error);
 /// and "-" (standard output) can always be written.
 Result<void> check_writable(const std::string& path);
 
-/// The same for what is no run; nor does it take the place of one: `--json *.csv` names the first of them.
+/// The same, and that it takes the place of no run: `--json *.csv` names the first of them.
 Result<void> check_document(const std::string& path);
 
 /// An option that names a file to be written, and the name; empty where it was not given.
 struct OutputOption {
   std::string_view option;
   std::string path;
-  bool is_document = true;  ///< as check_document() asks of it; else as check_writable() does
 };
 
-/// Whether all files can be written: each once, over none that is read, and none but --json to standard
-/// output.
+/// Whether all files can be written: each once, over none that is read, however either is called, over no
+/// other that is named like a run, and none but --json to standard output.
 Result<void> check_outputs(std::span<const OutputOption> outputs, const std::vector<std::string>& read = {});
 
 /// Writes the document where the user asked for it: nowhere for an empty path, to standard output for "-".

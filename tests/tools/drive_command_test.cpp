@@ -1,0 +1,215 @@
+// `clampctl diagnose --model` and `clampctl predict` of bare drives as a user runs them: files in, files out.
+// The runs are those of an independent simulation whose truth is known.
+
+#include <cmath>
+#include <filesystem>
+#include <functional>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "clampd/views/figure.hpp"
+#include "drive/recorded_drive.hpp"
+#include "support/command.hpp"
+#include "support/temporary_directory.hpp"
+
+namespace clampd {
+namespace {
+
+using support::Outcome;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+using ::testing::StartsWith;
+using DriveRun = clampd::Run;  // testing::Test has a Run of its own
+
+constexpr double kCount_rad = 1e-3;
+
+/// A column of a file beside time, torque and position.
+struct FurtherColumn {
+  std::string name;
+  std::function<double(const DriveRun&, std::size_t)> value;
+};
+
+/// Milliseconds, mN m and encoder counts, as loggers write them.
+std::string file_of(const DriveRun& run, const std::vector<FurtherColumn>& further = {}) {
+  std::string text = "t_ms,torque_mNm,counts";
+  for (const FurtherColumn& column : further) text += "," + column.name;
+  text += '\n';
+  for (std::size_t k = 0; k < run.size(); ++k) {
+    text += fmt::format("{},{},{}", 1e3 * run.time_s[k], 1e3 * run.torque_Nm[k], run.position_rad[k] / kCount_rad);
+    for (const FurtherColumn& column : further) text += fmt::format(",{}", column.value(run, k));
+    text += '\n';
+  }
+  return text;
+}
+
+constexpr const char* kModel = R"([drive]
+name = "test drive"
+kind = "rotary"
+[columns]
+time = {column = "t_ms", scale = 1e-3}
+torque = {column = "torque_mNm", scale = 1e-3}
+position = {column = "counts", scale = 1e-3}
+)";
+
+class DriveCommands : public ::testing::Test {
+ protected:
+  Outcome clampctl(const std::string& arguments) {
+    return support::run_command(fmt::format("cd '{}' && '{}' {}", folder_.path(""), CLAMPCTL, arguments));
+  }
+  static nlohmann::json document_in(const std::string& text) {
+    return nlohmann::json::parse(text.substr(text.find('{')));
+  }
+  static drive_test::RecordedDrive drive(unsigned motion) {
+    drive_test::RecordedDrive drive;
+    drive.reference_rate = drive_test::trapezoids(motion);
+    drive.encoder_step = kCount_rad / drive.length;
+    return drive;
+  }
+  support::TemporaryDirectory folder_;
+};
+
+/// Of the rows from `first` on: a drive that is on its way, at a time that is not zero.
+DriveRun from_row(DriveRun run, std::size_t first) {
+  for (std::vector<double>* column : {&run.time_s, &run.torque_Nm, &run.position_rad})
+    column->erase(column->begin(), column->begin() + static_cast<std::ptrdiff_t>(first));
+  return run;
+}
+
+double relative_error(const nlohmann::json& errors, const std::string& quantity) {
+  for (const nlohmann::json& each : errors)
+    if (each.at("quantity") == quantity) return each.at("of_standard_deviation");
+  return std::nan("");
+}
+
+TEST_F(DriveCommands, AModelOfOneRunPredictsAnotherThatIsUnderWay) {
+  folder_.write("model.toml", kModel);
+  folder_.write("fitted.csv", file_of(drive_test::record(drive(4), 1)));
+  const DriveRun whole = drive_test::record(drive(9), 2), other = from_row(whole, 1300);
+  folder_.write("other.csv", file_of(other));
+  Outcome outcome = clampctl("diagnose fitted.csv --model model.toml --save saved.toml --json out.json");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  for (const auto& parameter : document_in(folder_.read("out.json")).at("parameters_after")) {
+    const double truth = parameter.at("name") == "coulomb" ? 0.02 : 1e-3;
+    EXPECT_NEAR(parameter.at("value"), truth, 0.02 * truth) << parameter.at("name");
+  }
+
+  const std::string report = report::can_draw() ? "--report out.html" : "";
+  outcome = clampctl("predict other.csv --model saved.toml --json prediction.json --out residuals.csv " + report);
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, AllOf(HasSubstr("other.csv"), HasSubstr("rad/s"), Not(HasSubstr("nan"))));
+  const auto document = nlohmann::json::parse(folder_.read("prediction.json"));
+  EXPECT_EQ(document.at("schema"), "clampd.prediction/1");
+  const auto& run = document.at("runs")[0];
+  EXPECT_EQ(run.at("rows"), other.size());
+  EXPECT_TRUE(run.at("diverged_s").is_null());
+  EXPECT_LT(relative_error(run.at("errors"), "velocity"), 0.1);
+  EXPECT_LT(relative_error(run.at("limited")[0].at("errors"), "velocity"), 0.05);
+  if (!report.empty()) {
+    EXPECT_THAT(folder_.read("out.html"), AllOf(HasSubstr("other.csv"), HasSubstr("</html>")));
+  }
+
+  // In SI units, from where the drive was, and the residual is the difference.
+  std::istringstream residuals(folder_.read("residuals.csv"));
+  std::string line;
+  std::getline(residuals, line);
+  EXPECT_EQ(line,
+            "run,time_s,position_measured,position_predicted,position_residual,velocity_measured,"
+            "velocity_predicted,velocity_residual");
+  std::size_t rows = 0;
+  for (; std::getline(residuals, line); ++rows) {
+    ASSERT_THAT(line, StartsWith("\"other.csv\","));
+    std::replace(line.begin(), line.end(), ',', ' ');
+    std::istringstream fields(line.substr(line.find(' ')));
+    double time_s, measured, predicted, residual, velocity, predicted_velocity;
+    fields >> time_s >> measured >> predicted >> residual >> velocity >> predicted_velocity;
+    ASSERT_NEAR(time_s, other.time_s[rows], 1e-9);
+    ASSERT_NEAR(measured, other.position_rad[rows], 1e-9);
+    ASSERT_NEAR(residual, measured - predicted, 1e-9);
+    if (rows == 0) {
+      EXPECT_NEAR(predicted, measured, 5.0 * kCount_rad);
+      EXPECT_GT(std::abs(predicted_velocity), 1.0) << "it was under way";
+      EXPECT_NEAR(predicted_velocity, (whole.position_rad[1320] - whole.position_rad[1280]) / 0.04, 0.5);
+    }
+  }
+  EXPECT_EQ(rows, other.size());
+}
+
+TEST_F(DriveCommands, AKnownTorqueIsPartOfThePrediction) {
+  folder_.write("model.toml", std::string(kModel) +
+                                  "[regressors]\nload = {column = \"load_mNm\", scale = 1e-3, use = "
+                                  "\"known-torque\"}\n");
+  drive_test::RecordedDrive truth = drive(4);
+  truth.gravity = 2.0;  // of the size of friction
+  const double unit = truth.inertia * truth.length;
+  const FurtherColumn load{"load_mNm", [&](const DriveRun& run, std::size_t k) {
+                             return 1e3 * unit * truth.gravity * std::sin(run.position_rad[k]);
+                           }};
+  folder_.write("fitted.csv", file_of(drive_test::record(truth, 1), {load}));
+  truth.reference_rate = drive_test::trapezoids(9);
+  folder_.write("other.csv", file_of(drive_test::record(truth, 2), {load}));
+  Outcome outcome = clampctl("diagnose fitted.csv --model model.toml --save saved.toml");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, StartsWith("ADEQUATE"));
+  outcome = clampctl("predict other.csv --model saved.toml --json -");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  const nlohmann::json limited = document_in(outcome.output).at("runs")[0].at("limited");
+  EXPECT_LT(relative_error(limited[0].at("errors"), "velocity"), 0.05);
+  EXPECT_LT(relative_error(limited[1].at("errors"), "velocity"), 0.05);
+
+  folder_.write("without.csv", file_of(drive_test::record(truth, 2)));
+  outcome = clampctl("predict without.csv --model saved.toml --out residuals.csv");
+  EXPECT_EQ(outcome.exit_code, 2);
+  EXPECT_THAT(outcome.output, HasSubstr("without.csv:1:1: column load_mNm is missing"));
+  EXPECT_FALSE(std::filesystem::exists(folder_.path("residuals.csv")));
+}
+
+TEST_F(DriveCommands, AModelWithoutInertiaPredictsNothing) {
+  folder_.write("model.toml", std::string(kModel) + "[model]\ninertia = \"off\"\n");
+  folder_.write("run.csv", file_of(drive_test::record(drive(4), 1)));
+  Outcome outcome = clampctl("diagnose run.csv --model model.toml --save saved.toml");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  outcome = clampctl("predict run.csv --model saved.toml --json out.json");
+  EXPECT_EQ(outcome.exit_code, 2);
+  EXPECT_THAT(outcome.output, HasSubstr("saved.toml: the fitted model has no positive inertia"));
+  outcome = clampctl("predict run.csv --model model.toml --json out.json");
+  EXPECT_EQ(outcome.exit_code, 2);
+  EXPECT_THAT(outcome.output, HasSubstr("the section [fitted] is missing"));
+  EXPECT_FALSE(std::filesystem::exists(folder_.path("out.json")));
+}
+
+/// However the file is called: no result takes the place of what is read.
+TEST_F(DriveCommands, NothingThatIsReadIsOverwritten) {
+  const std::string run = file_of(drive_test::record(drive(4), 1));
+  folder_.write("model.toml", kModel);
+  folder_.write("run.csv", run);
+  folder_.write("held.csv", run);
+  std::filesystem::create_symlink("run.csv", folder_.path("link.csv"));
+  std::filesystem::create_hard_link(folder_.path("model.toml"), folder_.path("same.toml"));
+  for (const char* outputs :
+       {"--save model.toml", "--save ./model.toml", "--save same.toml", "--next run.csv", "--next ../{0}/run.csv",
+        "--next held.csv", "--next link.csv", "--json model.toml", "--report model.toml"}) {
+    const std::string here = std::filesystem::path(folder_.path("")).parent_path().filename().string();
+    const Outcome outcome = clampctl("diagnose run.csv --holdout held.csv --model model.toml " +
+                                     fmt::format(fmt::runtime(outputs), here));
+    EXPECT_EQ(outcome.exit_code, 2) << outputs;
+    EXPECT_THAT(outcome.output, HasSubstr("which is read")) << outputs;
+  }
+  const Outcome outcome = clampctl("predict run.csv --model model.toml --out ./run.csv");
+  EXPECT_EQ(outcome.exit_code, 2);
+  EXPECT_THAT(outcome.output, HasSubstr("--out would overwrite"));
+  // A shell that expands `--next *.csv` names the first of the runs.
+  EXPECT_EQ(clampctl("diagnose --model model.toml --next *.csv").exit_code, 2);
+  EXPECT_EQ(folder_.read("model.toml"), kModel);
+  EXPECT_EQ(folder_.read("run.csv"), run);
+  EXPECT_EQ(folder_.read("held.csv"), run);
+}
+
+}  // namespace
+}  // namespace clampd
