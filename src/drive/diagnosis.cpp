@@ -590,6 +590,11 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   readings->runs.clear();
   Workshop shop;
   shop.data = std::move(*data);
+  for (std::size_t c = 0; c < model.regressors.size(); ++c)
+    if (model.regressors[c].use == PartUse::Estimate && is_constant(shop.data, c))
+      return failure(fmt::format("{}: {} is to be estimated, but is the same in all fitted runs; record runs that differ in "
+                                 "it, or write use = \"candidate\"",
+                                 model.file, model.regressors[c].name));
   progress(0.3, "noise");
   prepare_noise(shop, model, options.false_alarm, std::max(options.most_effects, 6));
   Design& design = *shop.design;

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 
 #include "clampd/drive/model.hpp"
@@ -71,8 +72,10 @@ bool loads_drive(DriveTerm term) {
   }
 }
 
-bool accelerates(DriveTerm term) {
-  return term == DriveTerm::Inertia || term == DriveTerm::InertiaPosition;
+bool accelerates(const FittedTerm& term) {
+  return std::ranges::any_of(term.functions, [](const BasisFunction& function) {
+    return function.carrier == Carrier::Acceleration;
+  });
 }
 
 namespace {
@@ -161,7 +164,7 @@ double torque_of(const FittedDrive& drive, const DriveState& state) {
     if (!loads_drive(term.term)) continue;
     const double torque = torque_of(term, state, {});
     sums.load += torque;
-    if (!accelerates(term.term)) sums.static_load += torque;
+    if (!accelerates(term)) sums.static_load += torque;
   }
   for (const FittedTerm& term : drive.terms)
     if (term.term != DriveTerm::TorqueSaturation) sums.balance += torque_of(term, state, sums);

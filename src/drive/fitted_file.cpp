@@ -55,14 +55,26 @@ toml::table columns_table(const DriveModel& model) {
 
 toml::table regressors_table(const DriveModel& model) {
   toml::table table;
-  for (std::size_t i = 0; i < model.regressors.size(); ++i) {
-    const DriveRegressor& regressor = model.regressors[i];
-    toml::table each = source_table(model.columns.others[i].second);
+  auto column = model.columns.others.begin();
+  for (const DriveRegressor& regressor : model.regressors) {
+    toml::table each = regressor.per_file ? toml::table{{"per_file", true}} : source_table((column++)->second);
     each.insert("use", regressor.known_torque               ? "known-torque"
                        : regressor.use == PartUse::Estimate ? "estimate"
                        : regressor.use == PartUse::Off      ? "off"
                                                             : "candidate");
     table.insert(regressor.name, each);
+  }
+  return table;
+}
+
+toml::table files_table(const DriveModel& model) {
+  toml::table table;
+  for (const DriveFile& file : model.files) {
+    toml::table each;
+    auto value = file.values.begin();
+    for (const DriveRegressor& regressor : model.regressors)
+      if (regressor.per_file) each.insert(regressor.name, *value++);
+    table.insert(file.name, each);
   }
   return table;
 }
@@ -257,6 +269,7 @@ std::string format_fitted_drive(const FittedDrive& drive) {
                        {"data", data_table(model)},
                        {"fitted", fitted_table(drive)}};
   if (!model.regressors.empty()) document.insert("regressors", regressors_table(model));
+  if (!model.files.empty()) document.insert("files", files_table(model));
   std::ostringstream text;
   text << "# Written by clampctl diagnose --save; docs/drives.md explains every key.\n" << document << '\n';
   return text.str();

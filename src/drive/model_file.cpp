@@ -25,10 +25,11 @@ class ModelReader : public drive::StrictReader {
   DriveModel read() {
     DriveModel model;
     model.file = path_;
-    known(document_, "", {"drive", "columns", "regressors", "model", "data", "fitted"});
+    known(document_, "", {"drive", "columns", "regressors", "files", "model", "data", "fitted"});
     if (const toml::table* drive = section("drive", true)) read_drive(*drive, model);
     if (const toml::table* columns = section("columns", true)) read_columns(*columns, model.columns);
     if (const toml::table* regressors = section("regressors", false)) read_regressors(*regressors, model);
+    if (const toml::table* files = section("files", false)) read_files(*files, model);
     for (std::size_t i = 0; i < kDriveTermCount; ++i)
       model.parts[i].use = i < kBaseTerms ? PartUse::Estimate : PartUse::Candidate;
     if (const toml::table* data = section("data", false)) read_data(*data, model);
@@ -126,13 +127,20 @@ class ModelReader : public drive::StrictReader {
   }
 
   /// NAME = "column" or {column = "...", scale, offset, minus, use = "candidate", "estimate", "known-torque"
-  /// or "off"}
+  /// or "off"}; or {per_file = true, use}, of which the values stand in [files].
   void read_regressors(const toml::table& regressors, DriveModel& model) {
     for (const auto& [key, node] : regressors) {
-      const std::optional<ColumnSource> each = source(regressors, key.str());
-      if (!each) continue;
       DriveRegressor regressor{std::string(key.str())};
       const toml::table* table = node.as_table();
+      regressor.per_file = table != nullptr && table->contains("per_file");
+      if (regressor.per_file) {
+        known(*table, key.str(), {"per_file", "use"});
+        if ((*table)["per_file"].value_exact<bool>() != true) refuse(node, "per_file must be true, or left out beside a column");
+      } else if (const std::optional<ColumnSource> each = source(regressors, key.str())) {
+        model.columns.others.emplace_back(regressor.name, *each);
+      } else {
+        continue;
+      }
       const std::string use = table == nullptr ? "candidate" : text(*table, "use").value_or("candidate");
       if (use == "estimate")
         regressor.use = PartUse::Estimate;
@@ -144,7 +152,37 @@ class ModelReader : public drive::StrictReader {
         refuse(node, fmt::format("use of {} must be \"candidate\", \"estimate\", \"known-torque\" or \"off\"",
                                  key.str()));
       model.regressors.push_back(regressor);
-      model.columns.others.emplace_back(regressor.name, *each);
+    }
+  }
+
+  /// [files."RUN.csv"] with a number for each regressor that is per file.
+  void read_files(const toml::table& files, DriveModel& model) {
+    std::vector<std::string> names;
+    for (const DriveRegressor& regressor : model.regressors)
+      if (regressor.per_file) names.push_back(regressor.name);
+    for (const auto& [key, node] : files) {
+      const toml::table* table = node.as_table();
+      if (table == nullptr) {
+        refuse(node, fmt::format("files.{} must be a section [files.\"{}\"]; a name with a dot needs the quotes",
+                                 key.str(), key.str()));
+        continue;
+      }
+      DriveFile file{std::string(key.str()), {}};
+      for (const auto& [name, value] : *table)
+        if (std::ranges::find(names, name.str()) == names.end())
+          refuse(value, value.is_table()
+                            ? fmt::format("{}.{} is no file of [files]; a name with a dot needs quotes: [files.\"{}.{}\"]",
+                                          key.str(), name.str(), key.str(), name.str())
+                            : fmt::format("{0} is no regressor that is per file; declare {0} = {{per_file = true}} in "
+                                          "[regressors]",
+                                          name.str()));
+      for (const std::string& name : names) {
+        if (!table->contains(name))
+          refuse(node, fmt::format("[files.\"{}\"] lacks {}", key.str(), name));
+        else
+          file.values.push_back(finite(*table, name));
+      }
+      model.files.push_back(std::move(file));
     }
   }
 

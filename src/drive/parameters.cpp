@@ -247,9 +247,14 @@ std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& varia
     case DriveTerm::TorqueLag:
       if (variant.settling_s > 0.0) return {shape_of(variant, "time-constant", "s")};
       return {{"lag", "s", variant.lag_s, variant.shape_sd > 0.0 ? variant.shape_sd : kNaN}};
-    case DriveTerm::Regressor:
-      if (two) return {one("factor", units_.torque + " per unit"), one("torque-at-mean", units_.torque, 1)};
-      return {one("factor", units_.torque + " per unit")};
+    case DriveTerm::Regressor: {
+      const BasisFunction::Carrier carrier = variant.functions.front().carrier;
+      const std::string unit = carrier == BasisFunction::Carrier::Acceleration ? units_.per_acceleration
+                               : carrier == BasisFunction::Carrier::Velocity   ? units_.per_velocity
+                                                                               : units_.torque;
+      if (two) return {one("factor", unit + " per unit"), one("torque-at-mean", units_.torque, 1)};
+      return {one("factor", unit + " per unit")};
+    }
   }
   return {};
 }

@@ -310,7 +310,7 @@ std::vector<Variant> Selector::load_candidates(const TorqueModel& model) {
   // Friction in proportion to the inertia's torque alone would be hard to tell from noise of the
   // acceleration.
   FittedDrive static_loads = loads;
-  std::erase_if(static_loads.terms, [](const FittedTerm& term) { return accelerates(term.term); });
+  std::erase_if(static_loads.terms, accelerates);
   if (!static_loads.terms.empty()) {
     add(DriveTerm::LoadFriction, {BasisFunction::Carrier::Direction, BasisFunction::Factor::Load}, loads);
     add(DriveTerm::LoadFriction, {BasisFunction::Carrier::Direction, BasisFunction::Factor::StaticLoad},
@@ -625,6 +625,11 @@ Selection Selector::run(const std::function<void(double)>& progress) {
     if (const auto reason = unidentifiable(term, range_, design_.data(), model_))
       selection.unseen[std::string(name_of(term))] = *reason;
   }
+  for (std::size_t c = 0; c < model_.regressors.size(); ++c)
+    if (const DriveRegressor& regressor = model_.regressors[c];
+        !regressor.known_torque && regressor.use == PartUse::Candidate && is_constant(design_.data(), c))
+      selection.unseen["column:" + regressor.name] = {"it is the same in all runs",
+                                                      fmt::format("runs that differ in {}", regressor.name)};
   if (!selection.base.ok()) return selection;
   const auto effects = [&] { return selection.best.parts.size() - base_.size(); };
   for (int stage = 0;

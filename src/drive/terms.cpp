@@ -117,6 +117,7 @@ std::vector<Variant> regressors(const DriveData& data, const DriveModel& model) 
   std::vector<Variant> all;
   for (std::size_t c = 0; c < model.regressors.size(); ++c) {
     if (model.regressors[c].known_torque || model.regressors[c].use == PartUse::Off) continue;
+    if (is_constant(data, c)) continue;
     double sum = 0.0, count = 0.0;
     for (const DriveRows& run : data.runs)
       for (const double value : run.motion.columns[c]) sum += value, count += 1.0;
@@ -128,12 +129,27 @@ std::vector<Variant> regressors(const DriveData& data, const DriveModel& model) 
                  {Carrier::One}});  // a sensor whose zero is unknown
     builder.add({{Carrier::Direction, Factor::Column, mean, 1.0, index}});
     builder.add({{Carrier::Velocity, Factor::Column, mean, 1.0, index}});
+    if (model.regressors[c].per_file)  // a payload
+      builder.add({{Carrier::Acceleration, Factor::Column, mean, 1.0, index}});
     for (Variant& each : builder.done()) all.push_back(std::move(each));
   }
   return all;
 }
 
 }  // namespace
+
+bool is_constant(const DriveData& data, std::size_t regressor) {
+  constexpr double kRounding = 1e-9;
+  double lowest = std::numeric_limits<double>::infinity(), highest = -lowest;
+  for (const DriveRows& run : data.runs) {
+    if (run.heldout) continue;
+    for (const double value : run.motion.columns[regressor]) {
+      lowest = std::min(lowest, value);
+      highest = std::max(highest, value);
+    }
+  }
+  return highest - lowest <= kRounding * std::max(std::abs(lowest), std::abs(highest));
+}
 
 DriveRange range_of(const DriveData& data) {
   DriveRange range;

@@ -59,6 +59,10 @@ inline BasisFunction known_torque_function(std::size_t regressor) {
   return {BasisFunction::Carrier::One, BasisFunction::Factor::Column, 0.0, 1.0, static_cast<int>(regressor)};
 }
 
+/// Whether a regressor is the same in all fitted rows: whatever goes with it is then a part of the constant
+/// torque, of friction or of inertia.
+bool is_constant(const DriveData& data, std::size_t regressor);
+
 /// Changes the torque that the columns explain instead of adding one.
 inline bool changes_torque(const Variant& variant) {
   return variant.lag_s != 0.0 || variant.settling_s != 0.0 || variant.saturation != 0.0;

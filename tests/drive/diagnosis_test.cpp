@@ -185,6 +185,47 @@ TEST(DriveDiagnosis, NamesTheColumnThatIsPartOfTheTorque) {
   EXPECT_THAT(missing.error().message, HasSubstr("temperature"));
 }
 
+// Each file has its payload, which is inertia, or its temperature, which is viscous friction.
+TEST(DriveDiagnosis, NamesTheValueOfTheFilesThatTheTorqueGoesWith) {
+  const DriveModel model =
+      drive("[regressors]\npayload = {per_file = true}\ntemperature = {per_file = true}\n");
+  constexpr std::array kPayload{0.0, 2.0, 1.0, 3.0, 0.5}, kTemperature{22.0, 40.0, 25.0, 31.0, 36.0};
+  for (const bool payload : {true, false}) {
+    std::vector<DriveRun> runs;
+    for (std::size_t r = 0; r < kPayload.size(); ++r) {
+      Truth truth;
+      if (payload) truth.inertia += 2e-4 * kPayload[r];
+      if (!payload) truth.viscous -= 1e-4 * (kTemperature[r] - 20.0);
+      DriveRun run = simulate(truth, static_cast<int>(r), 320 + static_cast<unsigned>(r));
+      run.others = {{"payload", std::vector<double>(run.size(), kPayload[r])},
+                    {"temperature", std::vector<double>(run.size(), kTemperature[r])}};
+      runs.push_back(std::move(run));
+    }
+    const Diagnosis diagnosis = diagnosed(runs, model);
+    EXPECT_NE(diagnosis.verdict, DiagnosisVerdict::Unexplained) << diagnosis.summary;
+    ASSERT_THAT(names(diagnosis), ElementsAre(payload ? "column:payload" : "column:temperature"))
+        << diagnosis.summary;
+    const EstimatedParameter factor = find(diagnosis.effects.front().parameters, "factor");
+    expect_within(factor, payload ? 2e-4 : -1e-4, 4.0, 2e-6);
+    EXPECT_EQ(factor.unit, payload ? "kg m^2 per unit" : "N m s/rad per unit");
+
+    // Where all files have the same, nothing is made of it, and that is said.
+    for (DriveRun& run : runs) run.others[payload ? 0 : 1].values.assign(run.size(), 7.0);
+    const Diagnosis without = diagnosed(runs, model);
+    EXPECT_TRUE(std::ranges::any_of(without.unseen, [&](const UnseenEffect& each) {
+      return each.name == (payload ? "column:payload" : "column:temperature") &&
+             each.reason == "it is the same in all runs";
+    }));
+    const Result<DriveDiagnosis> estimated = diagnose_drive(
+        runs,
+        drive("[regressors]\npayload = {per_file = true, use = \"estimate\"}\ntemperature = {per_file = true, use = "
+              "\"estimate\"}\n"),
+        {});
+    ASSERT_FALSE(estimated);
+    EXPECT_THAT(estimated.error().message, HasSubstr("is to be estimated, but is the same in all fitted runs"));
+  }
+}
+
 TEST(DriveDiagnosis, FindsTwoEffects) {
   Truth truth;
   truth.extra = [](double q, double v, int) { return 1.5e-3 * std::abs(v) + 0.02 * std::sin(6.0 * q); };

@@ -7,6 +7,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "support/temporary_directory.hpp"
+
 namespace clampd {
 namespace {
 
@@ -154,6 +156,60 @@ TEST(ForeignColumns, KeepTheMessagesOfRunFiles) {
   EXPECT_THAT(message("t,i\n0,1\n"), HasSubstr("column count is missing"));
   EXPECT_THAT(message("t,i,count\n0,1,x\n"), StartsWith("r.csv:2:5: count is not a finite number"));
   EXPECT_THAT(message("t,i,count\n0,1,2\n0,1,2\n"), HasSubstr("t does not increase"));
+}
+
+const std::string kPerFile =
+    "[drive]\nkind = \"rotary\"\n[columns]\ntime = \"t\"\ntorque = \"u\"\nposition = \"q\"\n"
+    "[regressors]\nload = \"F\"\npayload = {per_file = true, use = \"estimate\"}\ntemperature = {per_file = true}\n";
+
+TEST(FileValues, AreRegressorsInTheirOrder) {
+  const Result<DriveModel> model = parse_drive_model(
+      kPerFile + "[files.\"a.csv\"]\npayload = 3\ntemperature = 21.5\n[files.\"b/a.csv\"]\npayload = 5\ntemperature = 40\n",
+      "m.toml");
+  ASSERT_TRUE(model) << model.error().message;
+  const support::TemporaryDirectory folder;
+  std::filesystem::create_directory(folder.path("b"));
+  for (const char* name : {"a.csv", "b/a.csv", "other.csv"}) folder.write(name, "t,u,q,F\n0,1,2,7\n1,1,2,8\n");
+  const auto columns = [&](const DriveModel& of, const char* name) {
+    const Result<LoadedRun> loaded = read_drive_run(folder.path(name), of);
+    EXPECT_TRUE(loaded) << loaded.error().message;
+    std::vector<std::vector<double>> values;
+    for (std::size_t i = 0; loaded && i < loaded->run.others.size(); ++i) {
+      EXPECT_EQ(loaded->run.others[i].name, of.regressors[i].name);
+      values.push_back(loaded->run.others[i].values);
+    }
+    return values;
+  };
+  using Columns = std::vector<std::vector<double>>;
+  EXPECT_EQ(columns(*model, "a.csv"), (Columns{{7, 8}, {3, 3}, {21.5, 21.5}}));
+  EXPECT_EQ(columns(*model, "b/a.csv"), (Columns{{7, 8}, {5, 5}, {40, 40}})) << "the name that says more";
+  EXPECT_EQ(model->regressors[1].use, PartUse::Estimate);
+  const Result<LoadedRun> unknown = read_drive_run(folder.path("other.csv"), *model);
+  ASSERT_FALSE(unknown);
+  EXPECT_THAT(unknown.error().message, ::testing::AllOf(StartsWith("m.toml: no values for "),
+                                                        HasSubstr("[files.\"other.csv\"]"), HasSubstr("payload")));
+  // A saved model has them too.
+  FittedDrive fitted;
+  fitted.model = *model;
+  fitted.terms.push_back({DriveTerm::Inertia, "inertia", {{BasisFunction::Carrier::Acceleration}}, {1.0}});
+  const Result<FittedDrive> read = parse_fitted_drive(format_fitted_drive(fitted), "saved.toml");
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_EQ(columns(read->model, "b/a.csv"), columns(*model, "b/a.csv"));
+}
+
+TEST(FileValues, ErrorsNameThePlace) {
+  EXPECT_THAT(error_of(kPerFile + "[files.\"a.csv\"]\npayload = 3\n"),
+              HasSubstr("m.toml:11:1: [files.\"a.csv\"] lacks temperature"));
+  EXPECT_THAT(error_of(kPerFile + "[files.\"a.csv\"]\npayload = \"3 kg\"\ntemperature = 1\n"),
+              HasSubstr("m.toml:12:11: payload must be a finite number"));
+  EXPECT_THAT(error_of(kPerFile + "[files.\"a.csv\"]\npayload = 3\ntemperature = nan\n"),
+              HasSubstr("temperature must be a finite number"));
+  EXPECT_THAT(error_of(kPerFile + "[files.\"a.csv\"]\npayload = 3\ntemperature = 1\nvoltage = 4\n"),
+              HasSubstr("voltage is no regressor that is per file"));
+  EXPECT_THAT(error_of(kPerFile + "[files.a.csv]\npayload = 3\ntemperature = 1\n"), HasSubstr("[files.\"a.csv\"]"));
+  EXPECT_THAT(error_of(kPerFile + "[files]\n\"a.csv\" = 3\n"), HasSubstr("must be a section"));
+  EXPECT_THAT(error_of(kPerFile + "volts = {per_file = true, column = \"v\"}\n"), HasSubstr("unknown key column in volts"));
+  EXPECT_THAT(error_of(kPerFile + "volts = {per_file = 1}\n"), HasSubstr("per_file must be true"));
 }
 
 }  // namespace

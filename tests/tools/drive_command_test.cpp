@@ -95,7 +95,8 @@ TEST_F(DriveCommands, AModelOfOneRunPredictsAnotherThatIsUnderWay) {
   folder_.write("other.csv", file_of(other));
   Outcome outcome = clampctl("diagnose fitted.csv --model model.toml --save saved.toml --json out.json");
   ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
-  for (const auto& parameter : document_in(folder_.read("out.json")).at("parameters_after")) {
+  const auto diagnosis = nlohmann::json::parse(folder_.read("out.json"));
+  for (const auto& parameter : diagnosis.at("parameters_after")) {
     const double truth = parameter.at("name") == "coulomb" ? 0.02 : 1e-3;
     EXPECT_NEAR(parameter.at("value"), truth, 0.02 * truth) << parameter.at("name");
   }
@@ -182,6 +183,52 @@ TEST_F(DriveCommands, AModelWithoutInertiaPredictsNothing) {
   EXPECT_EQ(outcome.exit_code, 2);
   EXPECT_THAT(outcome.output, HasSubstr("the section [fitted] is missing"));
   EXPECT_FALSE(std::filesystem::exists(folder_.path("out.json")));
+}
+
+TEST_F(DriveCommands, AValueOfEachFileIsARegressor) {
+  const std::string regressors = std::string(kModel) + "[regressors]\npayload = {per_file = true, use = \"estimate\"}\n";
+  std::string model = regressors, runs;
+  int number = 0;
+  for (const double payload : {1.0, 3.0, 0.0, 2.0}) {
+    const std::string name = fmt::format("run{}.csv", ++number);
+    drive_test::RecordedDrive truth = drive(4 + static_cast<unsigned>(number));
+    DriveRun run = drive_test::record(truth, static_cast<unsigned>(number));
+    for (double& torque : run.torque_Nm) torque += 0.005 * payload;
+    folder_.write(name, file_of(run));
+    runs += name + " ";
+    model += fmt::format("[files.\"{}\"]\npayload = {}\n", name, payload);
+  }
+  folder_.write("model.toml", model);
+  Outcome outcome = clampctl(fmt::format("diagnose {} --model model.toml --save saved.toml --json out.json", runs));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, StartsWith("ADEQUATE"));
+  bool found = false;
+  const auto diagnosis = nlohmann::json::parse(folder_.read("out.json"));
+  for (const auto& parameter : diagnosis.at("parameters_after"))
+    if (parameter.at("name") == "column:payload.factor") {
+      found = true;
+      EXPECT_NEAR(parameter.at("value"), 0.005, 0.0003);
+    }
+  EXPECT_TRUE(found);
+  outcome = clampctl("predict run2.csv --model saved.toml --json -");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  const nlohmann::json limited = document_in(outcome.output).at("runs")[0].at("limited");
+  EXPECT_LT(relative_error(limited[1].at("errors"), "velocity"), 0.05);
+
+  folder_.write("other.csv", folder_.read("run2.csv"));
+  for (const char* command : {"diagnose run1.csv other.csv --model model.toml", "predict other.csv --model saved.toml",
+                              "diagnose run1.csv --holdout other.csv --model model.toml"}) {
+    outcome = clampctl(command);
+    EXPECT_EQ(outcome.exit_code, 2) << command;
+    EXPECT_THAT(outcome.output, HasSubstr("no values for other.csv: write a section [files.\"other.csv\"] with payload"));
+  }
+  folder_.write("bad.toml", regressors + "[files.\"run1.csv\"]\npayload = \"heavy\"\n");
+  outcome = clampctl("diagnose run1.csv --model bad.toml");
+  EXPECT_EQ(outcome.exit_code, 2);
+  EXPECT_THAT(outcome.output, HasSubstr("bad.toml:11:11: payload must be a finite number"));
+  outcome = clampctl("diagnose run1.csv --model model.toml");
+  EXPECT_EQ(outcome.exit_code, 2);
+  EXPECT_THAT(outcome.output, HasSubstr("payload is to be estimated, but is the same in all fitted runs"));
 }
 
 /// However the file is called: no result takes the place of what is read.

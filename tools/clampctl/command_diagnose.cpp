@@ -59,7 +59,7 @@ Result<std::vector<Run>> read_runs(const std::vector<std::string>& files,
                                    const std::optional<DriveModel>& drive) {
   std::vector<Run> runs;
   for (const std::string& file : files) {
-    Result<LoadedRun> loaded = drive ? read_run(file, drive->columns) : read_run(file);
+    Result<LoadedRun> loaded = drive ? read_drive_run(file, *drive) : read_run(file);
     if (!loaded) return tl::unexpected(loaded.error());
     for (const std::string& notice : loaded->notices) cli::print_notice(notice);
     runs.push_back(std::move(loaded->run));

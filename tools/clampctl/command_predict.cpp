@@ -47,14 +47,14 @@ bool is_of_drive(const std::string& text) {
   return text.starts_with("[drive]") || text.find("\n[drive]") != std::string::npos;
 }
 
-Result<std::vector<Run>> read_all(const PredictCommand& command, const ColumnMap* columns) {
+Result<std::vector<Run>> read_all(const PredictCommand& command, const DriveModel* drive) {
   std::vector<Run> runs;
   std::vector<std::string> said;
   for (const std::string& file : command.files) {
-    Result<LoadedRun> loaded = columns != nullptr ? read_run(file, *columns) : read_run(file);
+    Result<LoadedRun> loaded = drive != nullptr ? read_drive_run(file, *drive) : read_run(file);
     if (!loaded)
       return failure(fmt::format("{} ({} is a model of a {})", loaded.error().message, command.model,
-                                 columns != nullptr ? "drive" : "brake"));
+                                 drive != nullptr ? "drive" : "brake"));
     for (const std::string& notice : loaded->notices) {
       const std::string what =
           notice.substr(std::min(notice.size(), notice.find(" column ")));  // one a kind, not one a file
@@ -69,7 +69,7 @@ Result<std::vector<Run>> read_all(const PredictCommand& command, const ColumnMap
 
 /// The data first, as a diagnosis does: a wrong sign would pass for a wrong model.
 Result<std::vector<PredictedRun>> predict_drives(const PredictCommand& command, const FittedDrive& drive) {
-  Result<std::vector<Run>> runs = read_all(command, &drive.model.columns);
+  Result<std::vector<Run>> runs = read_all(command, &drive.model);
   if (!runs) return tl::unexpected(runs.error());
   Result<CheckedData> data = check_data(*runs, drive.model);
   if (!data) return tl::unexpected(data.error());

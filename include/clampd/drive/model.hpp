@@ -66,6 +66,13 @@ struct DriveRegressor {
   PartUse use = PartUse::Candidate;
   bool known_torque =
       false;  ///< it is a torque in the unit of the torque column and is counted with the factor 1
+  bool per_file = false;  ///< no column: one number a file, as DriveModel::files says
+};
+
+/// What the model file knows of a run file: a payload, a temperature.
+struct DriveFile {
+  std::string name;  ///< of the file, with as many of its folders as tell it from others
+  std::vector<double> values;  ///< of the regressors that are per file, in their order
 };
 
 /// A bare drive: torque and motion, no clamp force. Its model file says which columns its runs have, in which
@@ -80,7 +87,8 @@ struct DriveModel {
   /// constant.
   std::string torque_unit = "N m";
   ColumnMap columns;
-  std::vector<DriveRegressor> regressors;
+  std::vector<DriveRegressor> regressors;  ///< those that are columns stand in columns.others in this order
+  std::vector<DriveFile> files;
   /// The torque is a command that acts from its row until the next one, not a reading at its row's time.
   bool torque_held = false;
   /// Every run goes at one steady speed and counts as one point of a friction map, its medians.
@@ -157,7 +165,6 @@ double travel_after_reversal(double travel, double length);
 
 /// Whether a term loads the drive, rather than rubs: friction that grows with load grows with it.
 bool loads_drive(DriveTerm term);
-bool accelerates(DriveTerm term);  ///< its torque goes with the acceleration
 
 struct FittedTerm {
   DriveTerm term = DriveTerm::Inertia;
@@ -165,6 +172,7 @@ struct FittedTerm {
   std::vector<BasisFunction> functions;  ///< as many as coefficients
   std::vector<double> coefficients;
 };
+bool accelerates(const FittedTerm& term);  ///< its torque goes with the acceleration
 
 /// A model whose torque can be computed: what `diagnose --save` writes and a simulation needs.
 struct FittedDrive {
@@ -191,6 +199,10 @@ double torque_of(const FittedDrive& drive, const DriveState& state);
 /// Reads a model file; docs/drives.md lists all keys. Errors name file, line, column and key.
 Result<DriveModel> read_drive_model(const std::string& path);
 Result<DriveModel> parse_drive_model(const std::string& text, const std::string& path);
+
+/// Reads a run by the model's columns; Run::others then are the regressors, in their order. Errors as
+/// read_run(), and where the model has no values for this file.
+Result<LoadedRun> read_drive_run(const std::string& path, const DriveModel& model);
 
 /// Reads a model file with a section [fitted], as format_fitted_drive() writes it. Errors as above, and where
 /// it is missing.
