@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -12,6 +13,7 @@
 
 #include "clampd/base/nan.hpp"
 #include "clampd/drive/data_check.hpp"
+#include "src/drive/gear.hpp"
 #include "src/drive/next_motion.hpp"
 #include "src/drive/parameters.hpp"
 #include "src/drive/remainder.hpp"
@@ -592,9 +594,10 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   shop.data = std::move(*data);
   for (std::size_t c = 0; c < model.regressors.size(); ++c)
     if (model.regressors[c].use == PartUse::Estimate && is_constant(shop.data, c))
-      return failure(fmt::format("{}: {} is to be estimated, but is the same in all fitted runs; record runs that differ in "
-                                 "it, or write use = \"candidate\"",
-                                 model.file, model.regressors[c].name));
+      return failure(fmt::format(
+          "{}: {} is to be estimated, but is the same in all fitted runs; record runs that differ in "
+          "it, or write use = \"candidate\"",
+          model.file, model.regressors[c].name));
   progress(0.3, "noise");
   prepare_noise(shop, model, options.false_alarm, std::max(options.most_effects, 6));
   Design& design = *shop.design;
@@ -617,6 +620,8 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   selector.find_rivals(selection);
   diagnosis.rivals = selection.rivals;
   const std::vector<std::string> words = add_model(shop, selection, selector, model, runs, diagnosis);
+  std::ranges::move(gear_findings(design, diagnosis.fitted, selector.actuation_of(selection.best.parts)),
+                    std::back_inserter(diagnosis.data));
   diagnosis.alarm_evidence = selection.alarm_nats;
   add_ladder(selection, selector, design, model, diagnosis);
   const Rests rests = add_rests(design, selection, model, diagnosis);

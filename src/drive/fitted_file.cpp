@@ -48,6 +48,7 @@ toml::table columns_table(const DriveModel& model) {
   toml::table table{{"time", source_table(model.columns.time)},
                     {"torque", source_table(model.columns.torque)}};
   if (model.columns.position) table.insert("position", source_table(*model.columns.position));
+  if (model.load_position) table.insert("load_position", source_table(model.columns.others.back().second));
   if (model.columns.velocity) table.insert("velocity", source_table(*model.columns.velocity));
   if (model.columns.drive_enabled) table.insert("drive_enabled", source_table(*model.columns.drive_enabled));
   return table;
@@ -57,7 +58,8 @@ toml::table regressors_table(const DriveModel& model) {
   toml::table table;
   auto column = model.columns.others.begin();
   for (const DriveRegressor& regressor : model.regressors) {
-    toml::table each = regressor.per_file ? toml::table{{"per_file", true}} : source_table((column++)->second);
+    toml::table each =
+        regressor.per_file ? toml::table{{"per_file", true}} : source_table((column++)->second);
     each.insert("use", regressor.known_torque               ? "known-torque"
                        : regressor.use == PartUse::Estimate ? "estimate"
                        : regressor.use == PartUse::Off      ? "off"

@@ -27,8 +27,10 @@ class ModelReader : public drive::StrictReader {
     model.file = path_;
     known(document_, "", {"drive", "columns", "regressors", "files", "model", "data", "fitted"});
     if (const toml::table* drive = section("drive", true)) read_drive(*drive, model);
-    if (const toml::table* columns = section("columns", true)) read_columns(*columns, model.columns);
+    const toml::table* columns = section("columns", true);
+    if (columns != nullptr) read_columns(*columns, model.columns);
     if (const toml::table* regressors = section("regressors", false)) read_regressors(*regressors, model);
+    if (columns != nullptr) read_load_position(*columns, model);
     if (const toml::table* files = section("files", false)) read_files(*files, model);
     for (std::size_t i = 0; i < kDriveTermCount; ++i)
       model.parts[i].use = i < kBaseTerms ? PartUse::Estimate : PartUse::Candidate;
@@ -135,7 +137,8 @@ class ModelReader : public drive::StrictReader {
       regressor.per_file = table != nullptr && table->contains("per_file");
       if (regressor.per_file) {
         known(*table, key.str(), {"per_file", "use"});
-        if ((*table)["per_file"].value_exact<bool>() != true) refuse(node, "per_file must be true, or left out beside a column");
+        if ((*table)["per_file"].value_exact<bool>() != true)
+          refuse(node, "per_file must be true, or left out beside a column");
       } else if (const std::optional<ColumnSource> each = source(regressors, key.str())) {
         model.columns.others.emplace_back(regressor.name, *each);
       } else {
@@ -163,19 +166,23 @@ class ModelReader : public drive::StrictReader {
     for (const auto& [key, node] : files) {
       const toml::table* table = node.as_table();
       if (table == nullptr) {
-        refuse(node, fmt::format("files.{} must be a section [files.\"{}\"]; a name with a dot needs the quotes",
-                                 key.str(), key.str()));
+        refuse(node,
+               fmt::format("files.{} must be a section [files.\"{}\"]; a name with a dot needs the quotes",
+                           key.str(), key.str()));
         continue;
       }
       DriveFile file{std::string(key.str()), {}};
       for (const auto& [name, value] : *table)
         if (std::ranges::find(names, name.str()) == names.end())
-          refuse(value, value.is_table()
-                            ? fmt::format("{}.{} is no file of [files]; a name with a dot needs quotes: [files.\"{}.{}\"]",
-                                          key.str(), name.str(), key.str(), name.str())
-                            : fmt::format("{0} is no regressor that is per file; declare {0} = {{per_file = true}} in "
-                                          "[regressors]",
-                                          name.str()));
+          refuse(
+              value,
+              value.is_table()
+                  ? fmt::format(
+                        "{}.{} is no file of [files]; a name with a dot needs quotes: [files.\"{}.{}\"]",
+                        key.str(), name.str(), key.str(), name.str())
+                  : fmt::format("{0} is no regressor that is per file; declare {0} = {{per_file = true}} in "
+                                "[regressors]",
+                                name.str()));
       for (const std::string& name : names) {
         if (!table->contains(name))
           refuse(node, fmt::format("[files.\"{}\"] lacks {}", key.str(), name));
@@ -187,7 +194,7 @@ class ModelReader : public drive::StrictReader {
   }
 
   void read_columns(const toml::table& columns, ColumnMap& map) {
-    known(columns, "[columns]", {"time", "torque", "position", "velocity", "drive_enabled"});
+    known(columns, "[columns]", {"time", "torque", "position", "load_position", "velocity", "drive_enabled"});
     for (const std::string_view required : {"time", "torque"})
       if (!columns.contains(required)) refuse(columns, fmt::format("columns.{} is missing", required));
     if (!columns.contains("position") && !columns.contains("velocity"))
@@ -206,6 +213,16 @@ class ModelReader : public drive::StrictReader {
         if (other == each->column) refuse(node, fmt::format("column {} is used twice", each->column));
       used.push_back(each->column);
     }
+  }
+
+  void read_load_position(const toml::table& columns, DriveModel& model) {
+    const std::optional<ColumnSource> load = source(columns, "load_position");
+    if (!load) return;
+    if (!model.columns.position)
+      refuse(*columns.get("load_position"),
+             "columns.load_position needs columns.position, to be compared with");
+    model.columns.others.emplace_back("load_position", *load);
+    model.load_position = true;
   }
 
   void read_data(const toml::table& data, DriveModel& model) {

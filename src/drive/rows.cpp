@@ -3,11 +3,14 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <numeric>
 
 #include <fmt/format.h>
 #include <Eigen/LU>
+
+#include "src/drive/data_check.hpp"
 
 namespace clampd::drive {
 
@@ -222,6 +225,8 @@ Result<void> check(const Run& run, const DriveModel& model) {
   for (std::size_t c = 0; c < model.regressors.size(); ++c)
     if (c >= run.others.size() || run.others[c].values.size() != run.size())
       return bad(fmt::format("no column for the regressor {}", model.regressors[c].name));
+  if (model.load_position && (!position || run.others.size() != model.regressors.size() + 1))
+    return bad("no load position beside the motor's");
   const auto finite = [](const std::vector<double>& values) {
     return std::ranges::all_of(values, [](double value) { return std::isfinite(value); });
   };
@@ -443,6 +448,12 @@ void count_rows(std::span<const Run> runs, const std::array<double, kRowUses>& s
   add("ends of the runs, where the filter lacks a side", left);
 }
 
+/// Replaces the load's position.
+void subtract_load(Run& run) {
+  std::vector<double>& load = run.others.back().values;
+  std::ranges::transform(run.position_rad, load, load.begin(), std::minus<>{});
+}
+
 /// At the cut-off given.
 DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model,
                      double cut_off_Hz, bool keeps_reversals = false) {
@@ -459,7 +470,13 @@ DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const 
     const double here_Hz = std::min(cut_off_Hz, kHighestCutOff / step_s);
     const auto together =
         static_cast<std::size_t>(std::max(1.0, kRowsPerCutOff / here_Hz / step_s / kSamplesPerRow));
-    DriveRows rows = rows_of(averaged(run, together, model.torque_held), here_Hz, data, seconds);
+    Run average = averaged(run, together, model.torque_held);
+    if (model.load_position) {
+      subtract_load(average);
+      for (const std::vector<double>* reading : {&run.position_rad, &run.others.back().values})
+        data.position_step = std::max(data.position_step, data_check::step_of(*reading));
+    }
+    DriveRows rows = rows_of(average, here_Hz, data, seconds);
     rows.run = static_cast<int>(r);
     rows.heldout = r >= heldout_from;
     const auto size = static_cast<double>(rows.size());
@@ -566,22 +583,26 @@ Eigen::VectorXd DriveRows::filtered(std::span<const double> samples) const {
   return result;
 }
 
-Eigen::VectorXd DriveRows::torque_at(const Actuation& actuation) const {
-  if (actuation == Actuation{}) return torque;
-  std::vector<double> samples = settled(motion.time_s, motion.torque, actuation.settling_s);
-  for (double& each : samples) each = actuation.saturation.torque(each);
+Eigen::VectorXd DriveRows::filtered(std::span<const double> samples, double lag_s) const {
   if (filter_sd_s_ == 0.0) return filtered(samples);
-  Eigen::VectorXd result(torque.size());
+  Eigen::VectorXd result(static_cast<Eigen::Index>(rows_.size()));
   for (std::size_t r = 0; r < rows_.size(); ++r) {
     std::size_t first = 0;
     const double latest_s = motion.time_s.back();
-    const std::vector<double> weights = kernel(
-        motion.time_s, std::clamp(rows_[r].at_s - actuation.lag_s, 0.0, latest_s), filter_sd_s_, first);
+    const std::vector<double> weights =
+        kernel(motion.time_s, std::clamp(rows_[r].at_s - lag_s, 0.0, latest_s), filter_sd_s_, first);
     double sum = 0.0;
     for (std::size_t k = 0; k < weights.size(); ++k) sum += weights[k] * samples[first + k];
     result[static_cast<Eigen::Index>(r)] = sum;
   }
   return result;
+}
+
+Eigen::VectorXd DriveRows::torque_at(const Actuation& actuation) const {
+  if (actuation == Actuation{}) return torque;
+  std::vector<double> samples = settled(motion.time_s, motion.torque, actuation.settling_s);
+  for (double& each : samples) each = actuation.saturation.torque(each);
+  return filtered(samples, actuation.lag_s);
 }
 
 Result<DriveData> prepare(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model) {

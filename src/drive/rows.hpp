@@ -29,7 +29,9 @@ struct DriveMotion {
   std::vector<double> torque, position, velocity, acceleration;
   std::vector<double> direction;             ///< of the velocity; 0 at standstill
   std::vector<double> travel;                ///< since the last reversal; infinite before the first
-  std::vector<std::vector<double>> columns;  ///< the user's own, by DriveModel::regressors
+  /// The user's own, by DriveModel::regressors; behind them, if it is recorded, the motor's position less the
+  /// load's.
+  std::vector<std::vector<double>> columns;
 
   DriveState state(std::size_t i, int run, std::vector<double>& columns_here) const;
   /// DriveState::travel of each sample where friction builds up over `length`. At the start it is half built
@@ -58,6 +60,8 @@ class DriveRows {
   std::size_t size() const { return rows_.size(); }
   /// One value a sample in, one a row out.
   Eigen::VectorXd filtered(std::span<const double> samples) const;
+  /// The same, of the samples `lag_s` before each row.
+  Eigen::VectorXd filtered(std::span<const double> samples, double lag_s) const;
   /// Torque that acts in each row, filtered.
   Eigen::VectorXd torque_at(const Actuation& actuation) const;
 
@@ -90,6 +94,7 @@ struct DriveData {
   bool position_absolute = true;  ///< false: integrated from velocity, zero at the start of each run
   bool keeps_reversals = false;   ///< rows in which the drive reverses count too
   double slow_speed = 0.0;        ///< below this a reading counts as standstill
+  double position_step = 0.0;     ///< of the readings of motor and load, the coarser one; 0 without a load's
   ReadingNoise noise;
   RowCount rows;
   std::vector<std::string> notices;

@@ -30,8 +30,9 @@ Result<LoadedRun> read_drive_run(const std::string& path, const DriveModel& mode
   if (!loaded || names.empty()) return loaded;
   const DriveFile* file = file_called(path, model);
   if (file == nullptr)
-    return failure(fmt::format("{}: no values for {}: write a section [files.\"{}\"] with {} = NUMBER", model.file, path,
-                               path.substr(path.rfind('/') + 1), fmt::join(names, " = NUMBER and ")));
+    return failure(fmt::format("{}: no values for {}: write a section [files.\"{}\"] with {} = NUMBER",
+                               model.file, path, path.substr(path.rfind('/') + 1),
+                               fmt::join(names, " = NUMBER and ")));
   auto value = file->values.begin();
   std::vector<RunColumn>& others = loaded->run.others;
   for (std::size_t i = 0; i < model.regressors.size(); ++i)

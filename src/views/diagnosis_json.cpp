@@ -124,6 +124,7 @@ ordered_json finding_json(const DataFinding& finding) {
           {"column", finding.column},
           {"run", finding.run},
           {"size", number_or_null(finding.size)},
+          {"sd", number_or_null(finding.sd)},
           {"unit", finding.unit},
           {"severity", to_string(finding.severity)},
           {"words", finding.words}};

@@ -389,6 +389,19 @@ Result<void> add_next_experiment(Page& page, const Diagnosis& diagnosis) {
                            next.repeats == 1 ? "once" : fmt::format("{} times", next.repeats)));
 }
 
+/// Of bare drives: what the readings themselves show.
+void add_data(Page& page, const Diagnosis& diagnosis) {
+  if (diagnosis.data.empty()) return;
+  page.section("The readings");
+  Table table{.columns = {{"Found"}, {"Column"}, {"Size", true}, {"What"}}};
+  for (const DataFinding& finding : diagnosis.data)
+    table.rows.push_back(
+        {finding.severity == DataFinding::Severity::Mended ? "mended, " + finding.name : finding.name,
+         finding.column, typographic(words::quantity({"", finding.unit, finding.size, finding.sd})),
+         typographic(sentence(finding.words))});
+  page.table(table);
+}
+
 void add_unseen(Page& page, const Diagnosis& diagnosis) {
   if (diagnosis.unseen.empty() && diagnosis.notices.empty()) return;
   page.section("What these runs could not show");
@@ -473,6 +486,7 @@ Result<std::string> diagnosis_html(const Diagnosis& diagnosis, const DiagnosisSu
   add_gain(page, diagnosis, subject);
   add_parameters(page, diagnosis);
   if (auto drawn = add_next_experiment(page, diagnosis); !drawn) return tl::unexpected(drawn.error());
+  add_data(page, diagnosis);
   add_unseen(page, diagnosis);
   add_tests(page, diagnosis);
   add_method(page, diagnosis, subject);

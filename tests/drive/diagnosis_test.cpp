@@ -216,13 +216,15 @@ TEST(DriveDiagnosis, NamesTheValueOfTheFilesThatTheTorqueGoesWith) {
       return each.name == (payload ? "column:payload" : "column:temperature") &&
              each.reason == "it is the same in all runs";
     }));
-    const Result<DriveDiagnosis> estimated = diagnose_drive(
-        runs,
-        drive("[regressors]\npayload = {per_file = true, use = \"estimate\"}\ntemperature = {per_file = true, use = "
-              "\"estimate\"}\n"),
-        {});
+    const Result<DriveDiagnosis> estimated =
+        diagnose_drive(runs,
+                       drive("[regressors]\npayload = {per_file = true, use = \"estimate\"}\ntemperature = "
+                             "{per_file = true, use = "
+                             "\"estimate\"}\n"),
+                       {});
     ASSERT_FALSE(estimated);
-    EXPECT_THAT(estimated.error().message, HasSubstr("is to be estimated, but is the same in all fitted runs"));
+    EXPECT_THAT(estimated.error().message,
+                HasSubstr("is to be estimated, but is the same in all fitted runs"));
   }
 }
 

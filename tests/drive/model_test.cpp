@@ -160,16 +160,20 @@ TEST(ForeignColumns, KeepTheMessagesOfRunFiles) {
 
 const std::string kPerFile =
     "[drive]\nkind = \"rotary\"\n[columns]\ntime = \"t\"\ntorque = \"u\"\nposition = \"q\"\n"
-    "[regressors]\nload = \"F\"\npayload = {per_file = true, use = \"estimate\"}\ntemperature = {per_file = true}\n";
+    "[regressors]\nload = \"F\"\npayload = {per_file = true, use = \"estimate\"}\ntemperature = {per_file = "
+    "true}\n";
 
 TEST(FileValues, AreRegressorsInTheirOrder) {
-  const Result<DriveModel> model = parse_drive_model(
-      kPerFile + "[files.\"a.csv\"]\npayload = 3\ntemperature = 21.5\n[files.\"b/a.csv\"]\npayload = 5\ntemperature = 40\n",
-      "m.toml");
+  const Result<DriveModel> model =
+      parse_drive_model(kPerFile +
+                            "[files.\"a.csv\"]\npayload = 3\ntemperature = "
+                            "21.5\n[files.\"b/a.csv\"]\npayload = 5\ntemperature = 40\n",
+                        "m.toml");
   ASSERT_TRUE(model) << model.error().message;
   const support::TemporaryDirectory folder;
   std::filesystem::create_directory(folder.path("b"));
-  for (const char* name : {"a.csv", "b/a.csv", "other.csv"}) folder.write(name, "t,u,q,F\n0,1,2,7\n1,1,2,8\n");
+  for (const char* name : {"a.csv", "b/a.csv", "other.csv"})
+    folder.write(name, "t,u,q,F\n0,1,2,7\n1,1,2,8\n");
   const auto columns = [&](const DriveModel& of, const char* name) {
     const Result<LoadedRun> loaded = read_drive_run(folder.path(name), of);
     EXPECT_TRUE(loaded) << loaded.error().message;
@@ -186,8 +190,9 @@ TEST(FileValues, AreRegressorsInTheirOrder) {
   EXPECT_EQ(model->regressors[1].use, PartUse::Estimate);
   const Result<LoadedRun> unknown = read_drive_run(folder.path("other.csv"), *model);
   ASSERT_FALSE(unknown);
-  EXPECT_THAT(unknown.error().message, ::testing::AllOf(StartsWith("m.toml: no values for "),
-                                                        HasSubstr("[files.\"other.csv\"]"), HasSubstr("payload")));
+  EXPECT_THAT(unknown.error().message,
+              ::testing::AllOf(StartsWith("m.toml: no values for "), HasSubstr("[files.\"other.csv\"]"),
+                               HasSubstr("payload")));
   // A saved model has them too.
   FittedDrive fitted;
   fitted.model = *model;
@@ -195,6 +200,28 @@ TEST(FileValues, AreRegressorsInTheirOrder) {
   const Result<FittedDrive> read = parse_fitted_drive(format_fitted_drive(fitted), "saved.toml");
   ASSERT_TRUE(read) << read.error().message;
   EXPECT_EQ(columns(read->model, "b/a.csv"), columns(*model, "b/a.csv"));
+}
+
+TEST(DriveModelFile, TheLoadsPositionComesLast) {
+  const std::string columns =
+      "[drive]\nkind = \"rotary\"\n[columns]\ntime = \"t\"\ntorque = \"u\"\nload_position = {column = \"l\", "
+      "minus = "
+      "\"m\", scale = 10}\n";
+  const Result<DriveModel> model = parse_drive_model(
+      columns + "position = \"q\"\n[regressors]\nz = \"zz\"\na = {per_file = true}\n", "m.toml");
+  ASSERT_TRUE(model) << model.error().message;
+  EXPECT_TRUE(model->load_position);
+  FittedDrive fitted;
+  fitted.model = *model;
+  fitted.terms.push_back({DriveTerm::Inertia, "inertia", {{BasisFunction::Carrier::Acceleration}}, {1.0}});
+  const Result<FittedDrive> read = parse_fitted_drive(format_fitted_drive(fitted), "saved.toml");
+  ASSERT_TRUE(read) << read.error().message;
+  const ColumnSource& load = read->model.columns.others.back().second;
+  EXPECT_EQ(load.column, "l");
+  EXPECT_EQ(load.minus, "m");
+  EXPECT_EQ(load.scale, 10.0);
+  EXPECT_THAT(error_of(columns + "velocity = \"v\"\n"), HasSubstr("load_position needs columns.position"));
+  EXPECT_THAT(error_of(columns + "position = \"l\"\n"), HasSubstr("column l is used twice"));
 }
 
 TEST(FileValues, ErrorsNameThePlace) {
@@ -206,9 +233,11 @@ TEST(FileValues, ErrorsNameThePlace) {
               HasSubstr("temperature must be a finite number"));
   EXPECT_THAT(error_of(kPerFile + "[files.\"a.csv\"]\npayload = 3\ntemperature = 1\nvoltage = 4\n"),
               HasSubstr("voltage is no regressor that is per file"));
-  EXPECT_THAT(error_of(kPerFile + "[files.a.csv]\npayload = 3\ntemperature = 1\n"), HasSubstr("[files.\"a.csv\"]"));
+  EXPECT_THAT(error_of(kPerFile + "[files.a.csv]\npayload = 3\ntemperature = 1\n"),
+              HasSubstr("[files.\"a.csv\"]"));
   EXPECT_THAT(error_of(kPerFile + "[files]\n\"a.csv\" = 3\n"), HasSubstr("must be a section"));
-  EXPECT_THAT(error_of(kPerFile + "volts = {per_file = true, column = \"v\"}\n"), HasSubstr("unknown key column in volts"));
+  EXPECT_THAT(error_of(kPerFile + "volts = {per_file = true, column = \"v\"}\n"),
+              HasSubstr("unknown key column in volts"));
   EXPECT_THAT(error_of(kPerFile + "volts = {per_file = 1}\n"), HasSubstr("per_file must be true"));
 }
 

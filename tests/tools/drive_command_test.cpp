@@ -1,6 +1,7 @@
 // `clampctl diagnose --model` and `clampctl predict` of bare drives as a user runs them: files in, files out.
 // The runs are those of an independent simulation whose truth is known.
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <functional>
@@ -15,6 +16,7 @@
 
 #include "clampd/views/figure.hpp"
 #include "drive/recorded_drive.hpp"
+#include "drive/two_masses.hpp"
 #include "support/command.hpp"
 #include "support/temporary_directory.hpp"
 
@@ -42,7 +44,8 @@ std::string file_of(const DriveRun& run, const std::vector<FurtherColumn>& furth
   for (const FurtherColumn& column : further) text += "," + column.name;
   text += '\n';
   for (std::size_t k = 0; k < run.size(); ++k) {
-    text += fmt::format("{},{},{}", 1e3 * run.time_s[k], 1e3 * run.torque_Nm[k], run.position_rad[k] / kCount_rad);
+    text += fmt::format("{},{},{}", 1e3 * run.time_s[k], 1e3 * run.torque_Nm[k],
+                        run.position_rad[k] / kCount_rad);
     for (const FurtherColumn& column : further) text += fmt::format(",{}", column.value(run, k));
     text += '\n';
   }
@@ -102,7 +105,8 @@ TEST_F(DriveCommands, AModelOfOneRunPredictsAnotherThatIsUnderWay) {
   }
 
   const std::string report = report::can_draw() ? "--report out.html" : "";
-  outcome = clampctl("predict other.csv --model saved.toml --json prediction.json --out residuals.csv " + report);
+  outcome =
+      clampctl("predict other.csv --model saved.toml --json prediction.json --out residuals.csv " + report);
   ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
   EXPECT_THAT(outcome.output, AllOf(HasSubstr("other.csv"), HasSubstr("rad/s"), Not(HasSubstr("nan"))));
   const auto document = nlohmann::json::parse(folder_.read("prediction.json"));
@@ -186,7 +190,8 @@ TEST_F(DriveCommands, AModelWithoutInertiaPredictsNothing) {
 }
 
 TEST_F(DriveCommands, AValueOfEachFileIsARegressor) {
-  const std::string regressors = std::string(kModel) + "[regressors]\npayload = {per_file = true, use = \"estimate\"}\n";
+  const std::string regressors =
+      std::string(kModel) + "[regressors]\npayload = {per_file = true, use = \"estimate\"}\n";
   std::string model = regressors, runs;
   int number = 0;
   for (const double payload : {1.0, 3.0, 0.0, 2.0}) {
@@ -199,7 +204,8 @@ TEST_F(DriveCommands, AValueOfEachFileIsARegressor) {
     model += fmt::format("[files.\"{}\"]\npayload = {}\n", name, payload);
   }
   folder_.write("model.toml", model);
-  Outcome outcome = clampctl(fmt::format("diagnose {} --model model.toml --save saved.toml --json out.json", runs));
+  Outcome outcome =
+      clampctl(fmt::format("diagnose {} --model model.toml --save saved.toml --json out.json", runs));
   ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
   EXPECT_THAT(outcome.output, StartsWith("ADEQUATE"));
   bool found = false;
@@ -216,11 +222,13 @@ TEST_F(DriveCommands, AValueOfEachFileIsARegressor) {
   EXPECT_LT(relative_error(limited[1].at("errors"), "velocity"), 0.05);
 
   folder_.write("other.csv", folder_.read("run2.csv"));
-  for (const char* command : {"diagnose run1.csv other.csv --model model.toml", "predict other.csv --model saved.toml",
-                              "diagnose run1.csv --holdout other.csv --model model.toml"}) {
+  for (const char* command :
+       {"diagnose run1.csv other.csv --model model.toml", "predict other.csv --model saved.toml",
+        "diagnose run1.csv --holdout other.csv --model model.toml"}) {
     outcome = clampctl(command);
     EXPECT_EQ(outcome.exit_code, 2) << command;
-    EXPECT_THAT(outcome.output, HasSubstr("no values for other.csv: write a section [files.\"other.csv\"] with payload"));
+    EXPECT_THAT(outcome.output,
+                HasSubstr("no values for other.csv: write a section [files.\"other.csv\"] with payload"));
   }
   folder_.write("bad.toml", regressors + "[files.\"run1.csv\"]\npayload = \"heavy\"\n");
   outcome = clampctl("diagnose run1.csv --model bad.toml");
@@ -231,6 +239,41 @@ TEST_F(DriveCommands, AValueOfEachFileIsARegressor) {
   EXPECT_THAT(outcome.output, HasSubstr("payload is to be estimated, but is the same in all fitted runs"));
 }
 
+TEST_F(DriveCommands, TheGearIsSaidEverywhere) {
+  const std::string model =
+      std::string(kModel) + "load_position = {column = \"load_counts\", scale = 0.01}\n";
+  folder_.write("model.toml", model);
+  drive_test::TwoMasses truth;
+  truth.backlash = 0.02;
+  DriveRun run = drive_test::record(truth, 1);
+  const FurtherColumn load{
+      "load_counts",  // behind a gear of ten
+      [](const DriveRun& of, std::size_t k) { return of.others.back().values[k] / 0.01; }};
+  folder_.write("run.csv", file_of(run, {load}));
+  const std::string report = report::can_draw() ? "--report out.html" : "";
+  Outcome outcome =
+      clampctl("diagnose run.csv --model model.toml --json out.json --save saved.toml " + report);
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("gear-backlash: the gear has a backlash of 0.0"));
+  const auto document = nlohmann::json::parse(folder_.read("out.json"));
+  const auto found = std::ranges::find_if(
+      document.at("data"), [](const auto& each) { return each.at("name") == "gear-backlash"; });
+  ASSERT_NE(found, document.at("data").end());
+  EXPECT_NEAR(found->at("size"), truth.backlash, 0.002);
+  EXPECT_GT(found->at("sd"), 0.0);
+  EXPECT_EQ(found->at("unit"), "rad");
+  if (!report.empty()) {
+    EXPECT_THAT(folder_.read("out.html"), HasSubstr("gear-backlash"));
+  }
+  outcome = clampctl("predict run.csv --model saved.toml");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+
+  folder_.write("without.csv", file_of(run));
+  outcome = clampctl("diagnose without.csv --model model.toml");
+  EXPECT_EQ(outcome.exit_code, 2);
+  EXPECT_THAT(outcome.output, HasSubstr("without.csv:1:1: column load_counts is missing"));
+}
+
 /// However the file is called: no result takes the place of what is read.
 TEST_F(DriveCommands, NothingThatIsReadIsOverwritten) {
   const std::string run = file_of(drive_test::record(drive(4), 1));
@@ -239,9 +282,9 @@ TEST_F(DriveCommands, NothingThatIsReadIsOverwritten) {
   folder_.write("held.csv", run);
   std::filesystem::create_symlink("run.csv", folder_.path("link.csv"));
   std::filesystem::create_hard_link(folder_.path("model.toml"), folder_.path("same.toml"));
-  for (const char* outputs :
-       {"--save model.toml", "--save ./model.toml", "--save same.toml", "--next run.csv", "--next ../{0}/run.csv",
-        "--next held.csv", "--next link.csv", "--json model.toml", "--report model.toml"}) {
+  for (const char* outputs : {"--save model.toml", "--save ./model.toml", "--save same.toml",
+                              "--next run.csv", "--next ../{0}/run.csv", "--next held.csv", "--next link.csv",
+                              "--json model.toml", "--report model.toml"}) {
     const std::string here = std::filesystem::path(folder_.path("")).parent_path().filename().string();
     const Outcome outcome = clampctl("diagnose run.csv --holdout held.csv --model model.toml " +
                                      fmt::format(fmt::runtime(outputs), here));

@@ -35,8 +35,7 @@ struct PredictCommand {
 Result<void> check_outputs(const PredictCommand& command) {
   std::vector<std::string> read = command.files;
   read.push_back(command.model);
-  const std::array outputs{cli::OutputOption{"--json", command.json},
-                           cli::OutputOption{"--out", command.out},
+  const std::array outputs{cli::OutputOption{"--json", command.json}, cli::OutputOption{"--out", command.out},
                            cli::OutputOption{"--report", command.report}};
   if (Result<void> checked = cli::check_outputs(outputs, read); !checked) return checked;
   return command.report.empty() ? Result<void>{} : report::can_draw();

@@ -61,7 +61,8 @@ Result<void> check_outputs(std::span<const OutputOption> outputs, const std::vec
     for (const OutputOption& other : outputs.first(i))
       if (!other.path.empty() && are_the_same(other.path, path))
         return failure(fmt::format("{} and {} name the same file", other.option, option));
-    const auto taken = std::ranges::find_if(read, [&](const std::string& file) { return are_the_same(file, path); });
+    const auto taken =
+        std::ranges::find_if(read, [&](const std::string& file) { return are_the_same(file, path); });
     if (taken != read.end())
       return failure(fmt::format("{} would overwrite {}, which is read; name another file", option, *taken));
     if (Result<void> writable = check_document(path); !writable) return writable;

@@ -147,6 +147,7 @@ struct DataFinding {
   std::string unit;  ///< of the size
   Severity severity = Severity::Note;
   std::string words;  ///< what, where, how much, what to do
+  double sd = std::numeric_limits<double>::quiet_NaN();  ///< of the size; NaN where it has none
 };
 std::string_view to_string(DataFinding::Severity severity) noexcept;  ///< "note", "mended", "stop"
 

@@ -71,7 +71,7 @@ struct DriveRegressor {
 
 /// What the model file knows of a run file: a payload, a temperature.
 struct DriveFile {
-  std::string name;  ///< of the file, with as many of its folders as tell it from others
+  std::string name;            ///< of the file, with as many of its folders as tell it from others
   std::vector<double> values;  ///< of the regressors that are per file, in their order
 };
 
@@ -89,6 +89,8 @@ struct DriveModel {
   ColumnMap columns;
   std::vector<DriveRegressor> regressors;  ///< those that are columns stand in columns.others in this order
   std::vector<DriveFile> files;
+  /// The last of columns.others and of Run::others is the position behind the gear, on the motor's side.
+  bool load_position = false;
   /// The torque is a command that acts from its row until the next one, not a reading at its row's time.
   bool torque_held = false;
   /// Every run goes at one steady speed and counts as one point of a friction map, its medians.
@@ -101,6 +103,8 @@ struct DriveModel {
 
   const DrivePart& part(DriveTerm term) const { return parts[static_cast<std::size_t>(term)]; }
   std::string_view position_unit() const { return linear ? "m" : "rad"; }
+  /// What `torque` is called: of a linear drive a force.
+  std::string_view effort() const { return linear ? "force" : "torque"; }
 };
 
 /// What a drive is doing, as the torque balance sees it.
