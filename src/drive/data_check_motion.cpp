@@ -204,8 +204,10 @@ void check_excitation(std::span<const MotionSummary> motions, std::span<const Ru
     if (!motion.moves) {
       add_of_motion(
           findings, "standstill", checks[r].run.name, 100.0, "%", DataSeverity::Note,
-          "the drive stands still throughout; nothing can be told of it there but the torque reading's "
-          "zero and noise");
+          fmt::format(
+              "the drive stands still throughout; nothing can be told of it there but the {} reading's "
+              "zero and noise",
+              model.effort()));
       continue;
     }
     all.rows += motion.rows;
@@ -238,17 +240,18 @@ void check_excitation(std::span<const MotionSummary> motions, std::span<const Ru
         100.0 * static_cast<double>(std::max(all.forward, all.backward)) /
             static_cast<double>(all.forward + all.backward),
         "%", DataSeverity::Note,
-        fmt::format("the drive moves {} only. Dry friction, a constant torque and friction that differs by "
-                    "direction are then the same; "
-                    "record the other direction, too",
-                    all.forward > all.backward ? "forward" : "backward"));
+        fmt::format("the drive moves {} only. Dry friction, a constant {} and friction that differs by "
+                    "direction are then the same; record the other direction, too",
+                    all.forward > all.backward ? "forward" : "backward", model.effort()));
   else if (!model.steady && std::ranges::all_of(motions, [](const MotionSummary& each) {
              return !each.moves || each.one_way();
            }))
-    add_of_motion(findings, "one-direction", together, 100.0, "%", DataSeverity::Note,
-                  "no run reverses: each goes one way only. What happens at a reversal is not seen, and a "
-                  "constant torque that changes from run to run would be the same as friction; record motion "
-                  "there and back within a run, too");
+    add_of_motion(
+        findings, "one-direction", together, 100.0, "%", DataSeverity::Note,
+        fmt::format("no run reverses: each goes one way only. What happens at a reversal is not seen, and a "
+                    "constant {} that changes from run to run would be the same as friction; record "
+                    "motion there and back within a run, too",
+                    model.effort()));
   if (model.part(DriveTerm::Viscous).use == PartUse::Estimate && least > (1.0 - kSteady) * greatest)
     add_of_motion(
         findings, "one-speed", together, greatest, std::string(velocity_unit(model)), DataSeverity::Note,

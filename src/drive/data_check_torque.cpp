@@ -172,9 +172,8 @@ void judge_sign(RunCheck& check, const Signs& signs, bool both_directions) {
             fmt::format("column {} drives against the motion in both directions, so that the friction would "
                         "be negative: its sign is "
                         "wrong (write scale = -1 for it into the model file), or another machine drives this "
-                        "one, and its torque is "
-                        "missing",
-                        column));
+                        "one, and its {} is missing",
+                        column, check.model.effort()));
 }
 
 /// The shift of the torque in time that leaves least of it, with its deviation by the jackknife over blocks.
@@ -242,11 +241,12 @@ void judge_delay(RunCheck& check, const Delay& delay) {
       "torque-delay", column, delay.value_s, "s", DataSeverity::Note,
       fmt::format("column {} is {:.3g} ± {:.1g} ms ({:.1f} rows) {} the motion that it causes; {:.0f} % less "
                   "of it is unexplained "
-                  "with that shift. Two loggers, a filter of the torque or a slow bus make such a delay: "
+                  "with that shift. Two loggers, a filter of the {} or a slow bus make such a delay: "
                   "record both at the "
                   "same instant, or look for torque-lag among the effects",
                   column, 1e3 * std::abs(delay.value_s), 1e3 * delay.sd_s, std::abs(delay.value_s) / row_s,
-                  delay.value_s > 0.0 ? "later than" : "ahead of", 100.0 * (1.0 - std::sqrt(delay.left))));
+                  delay.value_s > 0.0 ? "later than" : "ahead of", 100.0 * (1.0 - std::sqrt(delay.left)),
+                  check.model.effort()));
 }
 
 }  // namespace
@@ -260,8 +260,8 @@ void check_torque_against_motion(RunCheck& check) {
                           [&](double value) { return value == check.run.torque_Nm.front(); })) {
     check.add("constant", column, check.run.torque_Nm.front(), std::string(torque_unit(check.model)),
               DataSeverity::Stop,
-              fmt::format("column {} reads {:.4g} in every row: nothing can be told of the torque", column,
-                          check.run.torque_Nm.front()));
+              fmt::format("column {} reads {:.4g} in every row: nothing can be told of the {}", column,
+                          check.run.torque_Nm.front(), check.model.effort()));
     return;
   }
   const Balance balance = balance_of(check.run, check.model.linear);
@@ -357,17 +357,18 @@ void check_clipping(RunCheck& check) {
   const bool command = check.model.torque_held;
   if (beyond > kContradiction &&
       2 * rows < torque.size())  // else the rest does not tell what the motion needs
-    check.add("clipped", column, static_cast<double>(rows), "rows",
-              command ? DataSeverity::Note : DataSeverity::Stop,
-              fmt::format("{}, and the motion there needs {:.0f} % more: the reading is clipped, and the "
-                          "torque goes on. Record with a "
-                          "larger range, or leave those parts out of the file",
-                          what, 100.0 * beyond));
+    check.add(
+        "clipped", column, static_cast<double>(rows), "rows",
+        command ? DataSeverity::Note : DataSeverity::Stop,
+        fmt::format("{}, and the motion there needs {:.0f} % more: the reading is clipped, and the {} goes "
+                    "on. Record with a larger range, or leave those parts out of the file",
+                    what, 100.0 * beyond, check.model.effort()));
   else if (!command)
-    check.add("clipped", column, static_cast<double>(rows), "rows", DataSeverity::Note,
-              what +
-                  ": the drive limits its torque, or the reading is clipped. If the reading is, record with "
-                  "a larger range");
+    check.add(
+        "clipped", column, static_cast<double>(rows), "rows", DataSeverity::Note,
+        fmt::format("{}: the drive limits its {}, or the reading is clipped. If the reading is, record with "
+                    "a larger range",
+                    what, check.model.effort()));
 }
 
 }  // namespace clampd::data_check

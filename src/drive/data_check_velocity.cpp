@@ -274,9 +274,9 @@ void check_velocity_against_position(RunCheck& check) {
             column, position, 100.0 * found.left_share,
             is_swapped_with_torque(check)
                 ? fmt::format(
-                      "Column {} is, up to a scale: the columns of torque and velocity are swapped in the "
+                      "Column {} is, up to a scale: the columns of {} and velocity are swapped in the "
                       "model file",
-                      check.model.columns.torque.column)
+                      check.model.columns.torque.column, check.model.effort())
                 : "Look for swapped columns, another axis, or a reading that stands still; leave it out of "
                   "the model "
                   "file if the position is right"));

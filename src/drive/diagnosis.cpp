@@ -28,7 +28,7 @@ struct UnseenReason {
   std::string_view name, reason;
 };
 constexpr std::array<UnseenReason, 4> kNeverSeen{{
-    {"torque-gain", "every parameter is in units of the torque reading and would scale with it"},
+    {"torque-gain", "every parameter is in units of the {} reading and would scale with it"},
     {"inertia-error", "the inertia is estimated or off; give a known value in the model file to test it"},
     {"velocity-lag", "position and velocity readings are compared before any model"},
     {"outliers", "single bad samples are looked for before any model"},
@@ -312,10 +312,10 @@ void add_ladder(const Selection& selection, Selector& selector, const Design& de
 }
 
 NamedEffect named(const Variant& effect, const Selection& selection, Selector& selector,
-                  const Estimate& estimate) {
+                  const Estimate& estimate, std::string_view effort) {
   NamedEffect result;
   result.name = effect.name;
-  result.words = words_of(effect.term);
+  result.words = words_of(effect.term, effort);
   result.location = effect.term == DriveTerm::TorqueLag ? Location::Timing : Location::TorqueBalance;
   result.parameters = estimate.effect_parameters(effect);
   std::vector<Variant> parts;
@@ -333,9 +333,10 @@ NamedEffect named(const Variant& effect, const Selection& selection, Selector& s
 }
 
 /// Periodic torques within runs at steady speeds, which count as one row each otherwise.
-void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candidates, Diagnosis& diagnosis,
-                       std::vector<std::string>& words) {
+void add_steady_ripple(const SteadyRipple& ripple, const DriveModel& model, int candidates,
+                       Diagnosis& diagnosis, std::vector<std::string>& words) {
   const std::string name(name_of(DriveTerm::Cogging));
+  const Units units(model);
   if (!ripple.tested) {
     diagnosis.unseen.push_back({name, ripple.reason});
     return;
@@ -356,18 +357,18 @@ void add_steady_ripple(const SteadyRipple& ripple, const Units& units, int candi
       summary.values.push_back(
           {"amplitude-backward" + suffix, units.torque, order.backward, order.backward_sd});
     diagnosis.notices.push_back(
-        fmt::format("within the steady runs, order {} makes {:.0f} % of the torque's variance", order.order,
-                    100.0 * order.share));
+        fmt::format("within the steady runs, order {} makes {:.0f} % of the {}'s variance", order.order,
+                    100.0 * order.share, model.effort()));
   }
   if (summary.chosen) {
     NamedEffect effect;
     effect.name = name;
-    effect.words = words_of(DriveTerm::Cogging);
+    effect.words = words_of(DriveTerm::Cogging, model.effort());
     effect.parameters = summary.values;
     effect.log_likelihood_gain = ripple.gain;
     effect.p_value = std::min(1.0, candidates * std::exp(-ripple.significance_nats));
+    words.push_back(effect.words);
     diagnosis.effects.push_back(std::move(effect));
-    words.emplace_back(words_of(DriveTerm::Cogging));
   }
   diagnosis.candidates.push_back(std::move(summary));
 }
@@ -421,14 +422,15 @@ void add_preparation(const Workshop& shop, const DriveModel& model, Diagnosis& d
   diagnosis.notices = shop.data.notices;
   diagnosis.rows = shop.data.rows;
   if (!model.steady)
-    diagnosis.notices.push_back(
-        fmt::format("both sides of the torque balance are filtered at {:.3g} Hz", shop.data.cut_off_Hz));
+    diagnosis.notices.push_back(fmt::format("both sides of the {} balance are filtered at {:.3g} Hz",
+                                            model.effort(), shop.data.cut_off_Hz));
   if (shop.options.lag_s != 0.0)
     diagnosis.data.push_back(
         {"torque-delay", model.columns.torque.column, shop.data.runs.front().name, shop.options.lag_s, "s",
          DataFinding::Severity::Mended,
-         fmt::format("the torque acts {:.2g} ms {} its reading, less than a row; it was shifted by that much",
-                     1e3 * std::abs(shop.options.lag_s), shop.options.lag_s > 0.0 ? "after" : "before")});
+         fmt::format("the {} acts {:.2g} ms {} its reading, less than a row; it was shifted by that much",
+                     model.effort(), 1e3 * std::abs(shop.options.lag_s),
+                     shop.options.lag_s > 0.0 ? "after" : "before")});
 }
 
 /// Parameters, named effects and the model that is saved. Returns the effects in words.
@@ -445,11 +447,11 @@ std::vector<std::string> add_model(const Workshop& shop, const Selection& select
     }
   std::vector<std::string> words;
   for (const Variant& effect : effects_of(selection)) {
-    diagnosis.effects.push_back(named(effect, selection, selector, after));
-    words.emplace_back(words_of(effect.term));
+    diagnosis.effects.push_back(named(effect, selection, selector, after, model.effort()));
+    words.push_back(diagnosis.effects.back().words);
   }
   if (model.steady && model.part(DriveTerm::Cogging).use == PartUse::Candidate)
-    add_steady_ripple(steady_ripple(runs, model, selection.alarm_nats), Units(model), selection.candidates,
+    add_steady_ripple(steady_ripple(runs, model, selection.alarm_nats), model, selection.candidates,
                       diagnosis, words);
   diagnosis.fitted = {model,
                       selector.terms_of(selection.best),
@@ -488,8 +490,8 @@ Rests add_rests(const Design& design, const Selection& selection, const DriveMod
   diagnosis.share_left = rests.after.share;
   diagnosis.share_explainable = rests.after.explainable;
   diagnosis.fitted.error_rms = rests.after.left;
-  diagnosis.misfit.tests_before = tests_of(design, selection.base, rests.before);
-  diagnosis.misfit.tests_after = tests_of(design, selection.best, rests.after);
+  diagnosis.misfit.tests_before = tests_of(design, selection.base, rests.before, model.effort());
+  diagnosis.misfit.tests_after = tests_of(design, selection.best, rests.after, model.effort());
   for (const DependenceTest& test : rests.dependences)
     diagnosis.misfit.dependences.push_back(test.dependence);
   if (!rests.dependences.empty()) diagnosis.misfit.location = Location::TorqueBalance;
@@ -518,7 +520,8 @@ bool inertia_is_possible(const DriveModel& model, Diagnosis& diagnosis) {
   } else {
     diagnosis.data.push_back({"negative-inertia", column, "", inertia->value, inertia->unit,
                               DataFinding::Severity::Note,
-                              what + ": torque and motion do not belong together, in time, sign or unit"});
+                              fmt::format("{}: {} and motion do not belong together, in time, sign or unit",
+                                          what, model.effort())});
   }
   return false;
 }
@@ -533,13 +536,13 @@ void decide(const Rests& rests, const std::vector<std::string>& words, bool poss
   const bool structured = rest.explainable > kStructured && !rest.is_noise();
   const std::string what_is_left = rest_words(rest, rests.dependences, Units(model));
   const double percent = 100.0 * rest.share;
-  const std::string share = fmt::format("{:.3g} % of the torque's variation before, {:.3g} % after",
-                                        100.0 * rests.before.share, percent);
+  const std::string share = fmt::format("{:.3g} % of the {}'s variation before, {:.3g} % after",
+                                        100.0 * rests.before.share, model.effort(), percent);
   if (diagnosis.effects.empty() && enough && !structured) {
     diagnosis.verdict = DiagnosisVerdict::Adequate;
     diagnosis.summary = fmt::format(
-        "{}: the base model explains the runs; {:.3g} % of the torque's variation is left, {}.", model.name,
-        percent,
+        "{}: the base model explains the runs; {:.3g} % of the {}'s variation is left, {}.", model.name,
+        percent, model.effort(),
         rest.is_noise() ? "no more than the readings' own noise" : "less than what is called good enough");
   } else if (diagnosis.effects.empty()) {
     diagnosis.verdict = DiagnosisVerdict::Unexplained;
@@ -547,11 +550,11 @@ void decide(const Rests& rests, const std::vector<std::string>& words, bool poss
         !possible
             ? fmt::format(
                   "{}: the base model fits with a negative inertia only; {:.3g} % "
-                  "of the torque's variation is left.",
-                  model.name, percent)
+                  "of the {}'s variation is left.",
+                  model.name, percent, model.effort())
             : fmt::format(
-                  "{}: no known effect explains the torque; {:.3g} % of its variation is left, and that {}.",
-                  model.name, percent, what_is_left);
+                  "{}: no known effect explains the {}; {:.3g} % of its variation is left, and that {}.",
+                  model.name, model.effort(), percent, what_is_left);
   } else if (!enough) {
     diagnosis.verdict = DiagnosisVerdict::Unexplained;
     diagnosis.summary = fmt::format("{}: {}. Left: {}. The rest, {:.3g} %, {}.", model.name, listed(words),
@@ -626,13 +629,14 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   add_ladder(selection, selector, design, model, diagnosis);
   const Rests rests = add_rests(design, selection, model, diagnosis);
   if (!std::isfinite(rests.after.share) || !std::isfinite(rests.before.share))
-    return failure(fmt::format(
-        "{}: the torque does not change in the runs, so that nothing can be told of it", model.name));
+    return failure(fmt::format("{}: the {} does not change in the runs, so that nothing can be told of it",
+                               model.name, model.effort()));
   decide(rests, words, inertia_is_possible(model, diagnosis), model, diagnosis);
   diagnosis.next_experiment = next_motion(diagnosis.fitted, diagnosis.rivals, selection.unseen, shop.range);
   for (const auto& [name, reason] : selection.unseen) diagnosis.unseen.push_back({name, reason.reason});
   for (const UnseenReason& each : kNeverSeen)
-    diagnosis.unseen.push_back({std::string(each.name), std::string(each.reason)});
+    diagnosis.unseen.push_back(
+        {std::string(each.name), fmt::format(fmt::runtime(each.reason), model.effort())});
   add_gain(shop, selection, rests, diagnosis);
   if (options.views) diagnosis.views = views_of(design, selection.base, selection.best);
   diagnosis.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();

@@ -77,10 +77,11 @@ std::optional<NextExperiment> next_motion(const FittedDrive& drive,
   for (const std::vector<std::string>& group : rivals)
     if (holds(group, "torque-offset") && holds(group, "friction-asymmetry")) {
       next.manoeuvre = "standstill with the drive off";
-      next.why =
-          "while the drive slides, a constant torque and friction that differs by direction are the same; "
-          "with the drive off, an "
-          "offset of the torque reading is still there, and a load that pulls moves the drive";
+      next.why = fmt::format(
+          "while the drive slides, a constant {0} and friction that differs by direction are the same; with "
+          "the "
+          "drive off, an offset of the {0} reading is still there, and a load that pulls moves the drive",
+          drive.model.effort());
       next.trajectory = standstill_with_the_drive_off();
       return next;
     }

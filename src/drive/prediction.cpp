@@ -201,19 +201,17 @@ Result<void> check(const FittedDrive& drive) {
   if (drive.model.steady)
     return failure(
         fmt::format("{}: a model of steady speeds has no inertia, and without it no motion follows from a "
-                    "torque. Fit a model "
-                    "to runs that accelerate (without steady = true)",
-                    file));
+                    "{}. Fit a model to runs that accelerate (without steady = true)",
+                    file, drive.model.effort()));
   double inertia = 0.0;
   for (const FittedTerm& term : drive.terms)
     if (term.term == DriveTerm::Inertia)
       for (const double coefficient : term.coefficients) inertia += coefficient;
   if (!(inertia > 0.0))
-    return failure(
-        fmt::format("{}: the fitted model has no positive inertia, so that no motion follows from a torque. "
-                    "Fit one to runs that "
-                    "accelerate (inertia = \"estimate\"), or give its value in [model]",
-                    file));
+    return failure(fmt::format(
+        "{}: the fitted model has no positive inertia, so that no motion follows from a {}. Fit one "
+        "to runs that accelerate (inertia = \"estimate\"), or give its value in [model]",
+        file, drive.model.effort()));
   return {};
 }
 

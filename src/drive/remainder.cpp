@@ -313,13 +313,14 @@ double explainable_share(const Design& design, const TorqueModel& model, const D
   return explainable(design, design.residuals(model.fit), drive);
 }
 
-std::vector<MisfitTest> tests_of(const Design& design, const TorqueModel& model, const Remainder& remainder) {
+std::vector<MisfitTest> tests_of(const Design& design, const TorqueModel& model, const Remainder& remainder,
+                                 std::string_view effort) {
   std::vector<MisfitTest> tests;
   const Eigen::VectorXd residuals = design.residuals(model.fit);
   const double torque = std::sqrt(mean_square(design, design.raw(model.fit.target), false));
   const double relative = std::sqrt(mean_square(design, residuals, false)) / torque;
   tests.push_back({"relative torque error", relative, std::numeric_limits<double>::quiet_NaN(),
-                   fmt::format("{:.2f} % of the torque is left", 100.0 * relative)});
+                   fmt::format("{:.2f} % of the {} is left", 100.0 * relative, effort)});
   const double rows = design.fitted_rows();
   const double z = remainder.correlation * std::sqrt(rows);
   const double p = statistics::chi_squared_p_value(z * z, 1.0);

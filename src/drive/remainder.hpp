@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "clampd/diagnose/diagnosis.hpp"
@@ -40,6 +41,7 @@ Eigen::VectorXd variable_of(const Design& design, std::string_view name, const D
 /// with few rows.
 double explainable_share(const Design& design, const TorqueModel& model, const DriveModel& drive);
 
-std::vector<MisfitTest> tests_of(const Design& design, const TorqueModel& model, const Remainder& remainder);
+std::vector<MisfitTest> tests_of(const Design& design, const TorqueModel& model, const Remainder& remainder,
+                                 std::string_view effort);
 
 }  // namespace clampd::drive

@@ -218,7 +218,8 @@ Result<void> check(const Run& run, const DriveModel& model) {
   const auto bad = [&](std::string_view what) { return failure(fmt::format("{}: {}", run.name, what)); };
   if (run.size() < kLeastSamples)
     return bad(fmt::format("{} rows are too few; a drive's run needs {}", run.size(), kLeastSamples));
-  if (run.torque_Nm.size() != run.size()) return bad("no torque; name its column in the model file");
+  if (run.torque_Nm.size() != run.size())
+    return bad(fmt::format("no {}; name its column in the model file", model.effort()));
   const bool position = run.position_rad.size() == run.size();
   const bool velocity = run.velocity_rad_s.size() == run.size();
   if (!position && !velocity) return bad("neither position nor velocity; name a column in the model file");

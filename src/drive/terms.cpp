@@ -443,7 +443,7 @@ std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, cons
   if (const auto load = first(DriveTerm::LoadFriction); load && *load < 0.0)
     return "friction would be less under load";
   if (const auto loss = first(DriveTerm::TorqueSaturation); loss && *loss > 1.0)
-    return "more than half of the torque would be lost to saturation";
+    return fmt::format("more than half of the {} would be lost to saturation", model.effort());
   if (const FittedTerm* mass = term_of(terms, DriveTerm::InertiaPosition))
     for (const double place : {-1.0, 0.0, 1.0}) {
       DriveState state;
@@ -457,7 +457,7 @@ std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, cons
   return impossible_friction(terms, range, model);
 }
 
-std::string_view words_of(DriveTerm term) {
+std::string words_of(DriveTerm term, std::string_view effort) {
   switch (term) {
     case DriveTerm::Inertia:
       return "the drive has inertia";
@@ -466,7 +466,7 @@ std::string_view words_of(DriveTerm term) {
     case DriveTerm::Coulomb:
       return "the drive has dry friction";
     case DriveTerm::TorqueOffset:
-      return "a constant torque pulls on the drive, or its torque reading is biased";
+      return fmt::format("a constant {0} pulls on the drive, or its {0} reading is biased", effort);
     case DriveTerm::FrictionAsymmetry:
       return "the drive's friction differs by direction";
     case DriveTerm::QuadraticDrag:
@@ -476,7 +476,7 @@ std::string_view words_of(DriveTerm term) {
     case DriveTerm::Presliding:
       return "friction builds up over a length after each reversal";
     case DriveTerm::Cogging:
-      return "torque ripples periodically with position";
+      return fmt::format("{} ripples periodically with position", effort);
     case DriveTerm::FrictionPosition:
       return "friction depends on where the drive is";
     case DriveTerm::LoadPosition:
@@ -490,13 +490,13 @@ std::string_view words_of(DriveTerm term) {
     case DriveTerm::LoadFriction:
       return "friction grows with the load";
     case DriveTerm::TorqueSaturation:
-      return "torque grows less than its reading, as with a saturating torque constant";
+      return fmt::format("{0} grows less than its reading, as with a saturating {0} constant", effort);
     case DriveTerm::TorqueLag:
-      return "torque and motion are recorded at different times";
+      return fmt::format("{} and motion are recorded at different times", effort);
     case DriveTerm::InertiaPosition:
       return "the inertia depends on where the drive is";
     case DriveTerm::Regressor:
-      return "a recorded column is part of the torque";
+      return fmt::format("a recorded column is part of the {}", effort);
   }
   return "";
 }

@@ -643,16 +643,16 @@ Figure ladder_picture(std::span<const CandidateSummary* const> summaries, double
           .panel_height_px = kFrame_px + kBar_px * static_cast<int>(summaries.size())};
 }
 
-Figure trajectory_picture(const Run& trajectory) {
+Figure trajectory_picture(const Run& trajectory, const DiagnosisSubject& subject) {
   Figure figure{.panel_height_px = 170};
-  const auto add = [&](const char* label, const std::vector<double>& values, double factor) {
+  const auto add = [&](const std::string& label, const std::vector<double>& values, double factor) {
     if (!any_finite(values)) return;
     figure.panels.push_back(
         {.y = {.label = label}, .layers = {line(trajectory.time_s, values, factor, "", Colour::Blue)}});
   };
   add("clamp force (kN)", trajectory.force_N, 1e-3);
-  add("velocity (rad/s)", trajectory.velocity_rad_s, 1.0);
-  add("torque (N m)", trajectory.torque_Nm, 1.0);
+  add(fmt::format("velocity ({}/s)", subject.position_unit), trajectory.velocity_rad_s, 1.0);
+  add(fmt::format("{} ({})", subject.effort(), subject.torque_unit), trajectory.torque_Nm, 1.0);
   if (!figure.panels.empty()) figure.panels.back().x.label = "time (s)";
   return figure;
 }

@@ -128,10 +128,10 @@ void add_result(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
       if (diagnosis.verdict == DiagnosisVerdict::Ambiguous)
         entries.emplace_back("Possible: " + name, sentence(words::cause(name)));
   if (diagnosis.misfit.location && diagnosis.verdict != DiagnosisVerdict::Adequate) {
-    std::string where(words::meaning(*diagnosis.misfit.location));
+    std::string where = words::meaning(*diagnosis.misfit.location, subject.torque);
     std::vector<std::string> variables;
     for (const std::string& name : words::depends_on(diagnosis.misfit))
-      variables.push_back(words::variable(name));
+      variables.push_back(words::variable(name, subject.torque));
     if (!variables.empty())
       where += fmt::format(" The misfit depends on {}.", words::enumeration(variables, "and"));
     entries.emplace_back("Where", where);
@@ -144,7 +144,7 @@ void add_result(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
 
 // ---------------------------------------------------------------------------------------------------------
 
-void add_effects(Page& page, const Diagnosis& diagnosis) {
+void add_effects(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   if (!is_extended(diagnosis)) return;
   page.section(diagnosis.effects.size() == 1 ? "The effect" : "The effects");
   Table sizes{.caption = "± one standard deviation.",
@@ -160,7 +160,7 @@ void add_effects(Page& page, const Diagnosis& diagnosis) {
           "the effect than without it.",
       .columns = {{"Effect"}, {"Wrong without it"}, {"Evidence (nats)", true}, {"By chance"}}};
   for (const NamedEffect& effect : diagnosis.effects)
-    significance_nats.rows.push_back({effect.name, std::string(words::place(effect.location)),
+    significance_nats.rows.push_back({effect.name, words::place(effect.location, subject.torque),
                                       fixed(effect.log_likelihood_gain, 1), words::chance(effect.p_value)});
   page.table(significance_nats);
 }
@@ -222,8 +222,8 @@ Result<void> add_dependence(Page& page, const Diagnosis& diagnosis, const Diagno
     Table table{.caption = "What a free function of the variable in that place would explain of the misfit.",
                 .columns = {{"Depends on"}, {"In"}, {"Explains (nats)", true}, {"By chance"}}};
     for (const Dependence& dependence : misfit.dependences)
-      table.rows.push_back({words::variable(dependence.variable),
-                            std::string(words::place(dependence.location)), fixed(dependence.gain, 1),
+      table.rows.push_back({words::variable(dependence.variable, subject.torque),
+                            words::place(dependence.location, subject.torque), fixed(dependence.gain, 1),
                             Cell(words::chance(dependence.p_value), tone_of(dependence.p_value))});
     page.table(table);
   }
@@ -275,7 +275,7 @@ Result<void> add_disturbance(Page& page, const Diagnosis& diagnosis, const Diagn
 
 // ---------------------------------------------------------------------------------------------------------
 
-Result<void> add_ladder(Page& page, const Diagnosis& diagnosis) {
+Result<void> add_ladder(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   if (diagnosis.candidates.empty()) return {};
   page.section("The candidates");
   page.paragraph(
@@ -305,7 +305,7 @@ Result<void> add_ladder(Page& page, const Diagnosis& diagnosis) {
         .columns = {{"Candidate"}, {"Changes"}, {"Gain (nats)", true}, {"Evidence", true}, {"Size"}, {""}}};
     for (const CandidateSummary* summary : summaries) {
       if (!std::isfinite(summary->gain)) continue;
-      table.rows.push_back({summary->name, std::string(words::place(summary->location)),
+      table.rows.push_back({summary->name, words::place(summary->location, subject.torque),
                             fixed(summary->gain, 1), fixed(summary->significance_nats, 1),
                             typographic(words::quantities(summary->values)),
                             summary->chosen  ? Cell("named", Tone::Good)
@@ -370,7 +370,7 @@ void add_parameters(Page& page, const Diagnosis& diagnosis) {
 
 // ---------------------------------------------------------------------------------------------------------
 
-Result<void> add_next_experiment(Page& page, const Diagnosis& diagnosis) {
+Result<void> add_next_experiment(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   if (diagnosis.rivals.empty() && !diagnosis.next_experiment) return {};
   page.section("What would settle it");
   for (const std::vector<std::string>& group : diagnosis.rivals)
@@ -382,11 +382,12 @@ Result<void> add_next_experiment(Page& page, const Diagnosis& diagnosis) {
     page.paragraph(sentence(how));
     return {};
   }
-  const Figure picture = pictures::trajectory_picture(next.trajectory);
+  const Figure picture = pictures::trajectory_picture(next.trajectory, subject);
   if (picture.panels.empty()) return {};
-  return page.figure(
-      picture, fmt::format("The designed manoeuvre ({}) of the nominal brake, to be run {}.", next.manoeuvre,
-                           next.repeats == 1 ? "once" : fmt::format("{} times", next.repeats)));
+  return page.figure(picture,
+                     fmt::format("The designed manoeuvre ({}) of the {}, to be run {}.", next.manoeuvre,
+                                 subject.drive ? "drive" : "nominal brake",
+                                 next.repeats == 1 ? "once" : fmt::format("{} times", next.repeats)));
 }
 
 /// Of bare drives: what the readings themselves show.
@@ -474,18 +475,19 @@ void add_method(Page& page, const Diagnosis& diagnosis, const DiagnosisSubject& 
 }  // namespace
 
 Result<std::string> diagnosis_html(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
-  Page page("Diagnosis: " + words::headline(diagnosis), diagnosis.summary);
+  Page page("Diagnosis: " + words::headline(diagnosis, subject.torque), diagnosis.summary);
   add_result(page, diagnosis, subject);
   if (subject.drive)
     if (auto drawn = add_drive(page, diagnosis, subject); !drawn) return tl::unexpected(drawn.error());
-  add_effects(page, diagnosis);
+  add_effects(page, diagnosis, subject);
   if (auto drawn = add_runs(page, diagnosis); !drawn) return tl::unexpected(drawn.error());
   if (auto drawn = add_dependence(page, diagnosis, subject); !drawn) return tl::unexpected(drawn.error());
   if (auto drawn = add_disturbance(page, diagnosis, subject); !drawn) return tl::unexpected(drawn.error());
-  if (auto drawn = add_ladder(page, diagnosis); !drawn) return tl::unexpected(drawn.error());
+  if (auto drawn = add_ladder(page, diagnosis, subject); !drawn) return tl::unexpected(drawn.error());
   add_gain(page, diagnosis, subject);
   add_parameters(page, diagnosis);
-  if (auto drawn = add_next_experiment(page, diagnosis); !drawn) return tl::unexpected(drawn.error());
+  if (auto drawn = add_next_experiment(page, diagnosis, subject); !drawn)
+    return tl::unexpected(drawn.error());
   add_data(page, diagnosis);
   add_unseen(page, diagnosis);
   add_tests(page, diagnosis);

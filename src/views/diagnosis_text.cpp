@@ -54,7 +54,7 @@ std::string upper_case(std::string_view word) {
   return text;
 }
 
-void add_effects(Text& text, const Diagnosis& diagnosis) {
+void add_effects(Text& text, const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   for (const bool rivals : {false, true}) {
     bool begun = false;
     for (const NamedEffect& effect : diagnosis.effects) {
@@ -69,8 +69,9 @@ void add_effects(Text& text, const Diagnosis& diagnosis) {
             std::isfinite(parameter.sd) ? "" : "  " + words::meaning(effect.name, parameter.name);
         text.add("    {:<14} {}{}\n", parameter.name, words::quantity(parameter), meaning);
       }
-      text.add("    in {}; evidence {:.0f} nats; by chance: {}\n", words::place(effect.location),
-               effect.log_likelihood_gain, words::chance(effect.p_value));
+      text.add("    in {}; evidence {:.0f} nats; by chance: {}\n",
+               words::place(effect.location, subject.torque), effect.log_likelihood_gain,
+               words::chance(effect.p_value));
     }
   }
 }
@@ -86,16 +87,16 @@ void add_rivals(Text& text, const Diagnosis& diagnosis) {
     text.add("  {}\n", how);
 }
 
-void add_misfit(Text& text, const Diagnosis& diagnosis) {
+void add_misfit(Text& text, const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   const Misfit& misfit = diagnosis.misfit;
   if (diagnosis.verdict == DiagnosisVerdict::Adequate) return;
   if (words::depends_on(misfit).empty() && !misfit.location) return;
   text.heading(words::depends_on(misfit).empty() ? "Where the misfit is" : "What the misfit depends on");
-  if (misfit.location) text.add("  {}\n", words::meaning(*misfit.location));
+  if (misfit.location) text.add("  {}\n", words::meaning(*misfit.location, subject.torque));
   for (const Dependence& dependence : misfit.dependences)
     if (dependence.p_value < words::kSignificant)
-      text.add("  depends on {}, in {} ({:.0f} nats)\n", words::variable(dependence.variable),
-               words::place(dependence.location), dependence.gain);
+      text.add("  depends on {}, in {} ({:.0f} nats)\n", words::variable(dependence.variable, subject.torque),
+               words::place(dependence.location, subject.torque), dependence.gain);
 }
 
 void add_gain(Text& text, const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
@@ -157,9 +158,9 @@ std::string diagnosis_text(const Diagnosis& diagnosis, const DiagnosisSubject& s
   Text text(colours);
   text.add("{}  {}\n", text.marked(upper_case(to_string(diagnosis.verdict)), colour_of(diagnosis.verdict)),
            text.marked(diagnosis.summary, kBoldCode));
-  add_effects(text, diagnosis);
+  add_effects(text, diagnosis, subject);
   add_rivals(text, diagnosis);
-  add_misfit(text, diagnosis);
+  add_misfit(text, diagnosis, subject);
   add_gain(text, diagnosis, subject);
   add_parameters(text, diagnosis);
   add_data(text, diagnosis);

@@ -118,10 +118,10 @@ std::string enumeration(std::span<const std::string> items, std::string_view las
   return text;
 }
 
-std::string_view place(Location location) {
+std::string place(Location location, std::string_view torque) {
   switch (location) {
     case Location::TorqueBalance:
-      return "the torque balance";
+      return fmt::format("the {} balance", torque);
     case Location::Stiffness:
       return "the stiffness";
     case Location::ForceReading:
@@ -129,17 +129,18 @@ std::string_view place(Location location) {
     case Location::VelocityReading:
       return "the reading of velocity";
     case Location::TorqueReading:
-      return "the reading of torque";
+      return fmt::format("the reading of {}", torque);
     case Location::Timing:
       return "the timing of the readings";
   }
   return "";
 }
 
-std::string_view meaning(Location location) {
+std::string meaning(Location location, std::string_view torque) {
   switch (location) {
     case Location::TorqueBalance:
-      return "Another torque acts on the motor than the model's: friction, inertia or something unknown.";
+      return fmt::format(
+          "Another {} acts on the motor than the model's: friction, inertia or something unknown.", torque);
     case Location::Stiffness:
       return "The brake answers a position with another clamp force than the model's.";
     case Location::ForceReading:
@@ -147,21 +148,21 @@ std::string_view meaning(Location location) {
     case Location::VelocityReading:
       return "The velocity is not what its sensor says.";
     case Location::TorqueReading:
-      return "The torque that acts is not the one that was recorded.";
+      return fmt::format("The {} that acts is not the one that was recorded.", torque);
     case Location::Timing:
       return "The readings do not belong to the instant that they are recorded for.";
   }
   return "";
 }
 
-std::string variable(std::string_view name) {
+std::string variable(std::string_view name, std::string_view torque) {
   if (name == "position") return "the motor's position";
   if (name == "velocity") return "the velocity";
   if (name == "force") return "the clamp force";
   if (name == "time") return "the time within a run";
   if (name == "direction") return "the direction of motion";
   if (name == "run") return "the run: it changes from run to run";
-  if (name == "torque") return "the torque";
+  if (name == "torque") return fmt::format("the {}", torque);
   if (name == "rate") return "how quickly the readings change";
   if (name == kRepetition) return "whether a reading only repeats the last one: it was held";
   return std::string(name);
@@ -201,7 +202,7 @@ bool has_rivals(const Diagnosis& diagnosis, const std::string& effect) {
                      });
 }
 
-std::string headline(const Diagnosis& diagnosis) {
+std::string headline(const Diagnosis& diagnosis, std::string_view torque) {
   std::vector<std::string> causes;
   for (const NamedEffect& effect : diagnosis.effects) {
     const bool is_said = std::find(causes.begin(), causes.end(), effect.name) != causes.end();  // a harmonic
@@ -218,7 +219,7 @@ std::string headline(const Diagnosis& diagnosis) {
       return fmt::format("the cause is {}", enumeration(causes, "and"));
     case DiagnosisVerdict::Unexplained:
       return diagnosis.misfit.location
-                 ? fmt::format("an unknown cause in {}", place(*diagnosis.misfit.location))
+                 ? fmt::format("an unknown cause in {}", place(*diagnosis.misfit.location, torque))
                  : "an unknown cause";
   }
   return "";

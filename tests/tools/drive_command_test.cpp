@@ -274,6 +274,39 @@ TEST_F(DriveCommands, TheGearIsSaidEverywhere) {
   EXPECT_THAT(outcome.output, HasSubstr("without.csv:1:1: column load_counts is missing"));
 }
 
+/// Names of effects, columns and keys aside.
+TEST_F(DriveCommands, ALinearDriveHasForcesAndNoTorques) {
+  std::string model = kModel;
+  model.replace(model.find("rotary"), 6, "linear");
+  model.replace(model.find("kind"), 0, "unit = \"N\"\n");
+  folder_.write("model.toml", model);
+  drive_test::RecordedDrive truth = drive(4);
+  DriveRun run = drive_test::record(truth, 1);
+  for (std::size_t k = 0; k < run.size(); ++k)
+    run.torque_Nm[k] += 0.005 + 0.006 * std::sin(2.0 * run.position_rad[k]);
+  folder_.write("run.csv", file_of(run));
+  const std::string report = report::can_draw() ? "--report out.html" : "";
+  const Outcome outcome = clampctl("diagnose run.csv --model model.toml --json out.json " + report);
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output,
+              AllOf(HasSubstr("% of the force's variation"), HasSubstr("a constant force pulls"),
+                    HasSubstr("force ripples"), HasSubstr("in the force balance")));
+  const auto expect_no_torque = [](std::string text) {
+    for (const char* end : {" ", ".", ",", ";", "'", "<"})
+      EXPECT_THAT(text, Not(HasSubstr(std::string(" torque") + end)));
+  };
+  expect_no_torque(outcome.output);
+  const auto document = nlohmann::json::parse(folder_.read("out.json"));
+  expect_no_torque(document.at("summary"));
+  for (const char* list : {"effects", "data", "unseen_reasons"})
+    for (const auto& each : document.at(list)) expect_no_torque(each.dump());
+  if (!report.empty()) {
+    const std::string html = folder_.read("out.html");
+    EXPECT_THAT(html, AllOf(HasSubstr("Measured and modelled force"), Not(HasSubstr("(N m)")),
+                            Not(HasSubstr("nominal brake")), Not(HasSubstr("Another torque"))));
+  }
+}
+
 /// However the file is called: no result takes the place of what is read.
 TEST_F(DriveCommands, NothingThatIsReadIsOverwritten) {
   const std::string run = file_of(drive_test::record(drive(4), 1));

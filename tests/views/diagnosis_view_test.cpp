@@ -29,7 +29,7 @@ using ::testing::StartsWith;
 constexpr DiagnosisSubject kBrake{.runs = 15};
 
 DiagnosisSubject linear_drive() {
-  return {.runs = 1, .drive = true, .position_unit = "m", .torque_unit = "N"};
+  return {.runs = 1, .drive = true, .position_unit = "m", .torque_unit = "N", .torque = "force"};
 }
 
 Diagnosis faultless_brake() {

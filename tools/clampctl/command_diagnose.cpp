@@ -72,7 +72,8 @@ DiagnosisSubject subject_of(std::size_t runs, const std::optional<DriveModel>& d
   return {.runs = runs,
           .drive = true,
           .position_unit = std::string(drive->position_unit()),
-          .torque_unit = drive->torque_unit};
+          .torque_unit = drive->torque_unit,
+          .torque = std::string(drive->effort())};
 }
 
 Result<void> write_outputs(const DiagnoseCommand& command, const Diagnosis& diagnosis,

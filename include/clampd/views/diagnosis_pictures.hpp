@@ -52,6 +52,6 @@ std::optional<report::Figure> disturbance_picture(std::span<const RunView> views
 report::Figure ladder_picture(std::span<const CandidateSummary* const> summaries, double alarm_evidence);
 
 /// Torque, velocity and force of a designed trajectory.
-report::Figure trajectory_picture(const Run& trajectory);
+report::Figure trajectory_picture(const Run& trajectory, const DiagnosisSubject& subject);
 
 }  // namespace clampd::pictures

@@ -12,9 +12,10 @@ struct DiagnosisSubject {
   std::string position_unit = "rad";
   std::string torque_unit = "N m";  ///< or "N" of a linear drive, "A" where the torque constant is not known
 
-  std::string effort() const {
-    return torque_unit == "N" ? "force" : torque_unit == "A" ? "current" : "torque";
-  }
+  std::string torque = "torque";  ///< what it is called: "force" of a linear drive
+
+  /// What its reading is called.
+  std::string effort() const { return torque_unit == "A" ? "current" : torque; }
 };
 
 }  // namespace clampd

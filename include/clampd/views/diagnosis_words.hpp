@@ -31,14 +31,15 @@ std::string chance(double p_value);
 /// "cogging, backlash or force-lag"
 std::string enumeration(std::span<const std::string> items, std::string_view last_word);
 
-/// Where an equation is wrong, as part of a sentence: "the reading of clamp force".
-std::string_view place(Location location);
+/// Where an equation is wrong, as part of a sentence: "the reading of clamp force". Here and below `torque`
+/// is DiagnosisSubject::torque.
+std::string place(Location location, std::string_view torque = "torque");
 
 /// The whole meaning of it, as a sentence.
-std::string_view meaning(Location location);
+std::string meaning(Location location, std::string_view torque = "torque");
 
 /// What a misfit depends on, as part of a sentence: "the motor's position".
-std::string variable(std::string_view name);
+std::string variable(std::string_view name, std::string_view torque = "torque");
 
 /// A dependence less likely by chance than this is one.
 inline constexpr double kSignificant = 0.01;
@@ -64,7 +65,7 @@ bool has_rivals(const Diagnosis& diagnosis, const std::string& effect);
 std::string how_to_record(const NextExperiment& experiment);
 
 /// What the verdict is, for a heading: "the cause is cogging".
-std::string headline(const Diagnosis& diagnosis);
+std::string headline(const Diagnosis& diagnosis, std::string_view torque = "torque");
 
 /// A figure of the gain in words and numbers, before and after.
 struct GainRow {
