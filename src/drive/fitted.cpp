@@ -72,6 +72,18 @@ bool loads_drive(DriveTerm term) {
   }
 }
 
+std::vector<std::string> terms_of_runs(const FittedDrive& drive) {
+  const auto is_of_a_run = [](const BasisFunction& function) {
+    const bool column = function.factor == Factor::Column || function.factor == Factor::ColumnSize;
+    return function.factor == Factor::Run || function.factor == Factor::InRun ||
+           (function.index >= 0 && !column);
+  };
+  std::vector<std::string> names;
+  for (const FittedTerm& term : drive.terms)
+    if (std::ranges::any_of(term.functions, is_of_a_run)) names.push_back(term.name);
+  return names;
+}
+
 bool accelerates(const FittedTerm& term) {
   return std::ranges::any_of(term.functions, [](const BasisFunction& function) {
     return function.carrier == Carrier::Acceleration;

@@ -175,6 +175,24 @@ TEST_F(DriveCommands, AKnownTorqueIsPartOfThePrediction) {
   EXPECT_FALSE(std::filesystem::exists(folder_.path("residuals.csv")));
 }
 
+TEST_F(DriveCommands, WhatIsOfTheRunsOfTheFitIsSaid) {
+  folder_.write("model.toml", kModel);
+  std::string files;
+  unsigned number = 0;
+  for (const double coulomb : {1.0, 1.6, 0.7, 1.3}) {
+    drive_test::RecordedDrive truth = drive(4 + ++number);
+    truth.coulomb = coulomb;
+    const std::string name = fmt::format("run{}.csv", number);
+    folder_.write(name, file_of(drive_test::record(truth, number)));
+    files += name + " ";
+  }
+  Outcome outcome = clampctl(fmt::format("diagnose {} --model model.toml --save saved.toml", files));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  ASSERT_THAT(outcome.output, HasSubstr("friction-drift: "));
+  outcome = clampctl("predict run2.csv --model saved.toml");
+  EXPECT_THAT(outcome.output, HasSubstr("friction-drift differs from run to run of the fit"));
+}
+
 TEST_F(DriveCommands, AModelWithoutInertiaPredictsNothing) {
   folder_.write("model.toml", std::string(kModel) + "[model]\ninertia = \"off\"\n");
   folder_.write("run.csv", file_of(drive_test::record(drive(4), 1)));

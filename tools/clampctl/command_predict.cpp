@@ -75,6 +75,11 @@ Result<std::vector<PredictedRun>> predict_drives(const PredictCommand& command, 
   if (data->stops()) return failure(stop_message(*data));
   for (const DataFinding& finding : data->findings)
     if (finding.severity == DataSeverity::Mended) cli::print_notice(finding.words);
+  if (const std::vector<std::string> names = terms_of_runs(drive); !names.empty())
+    cli::print_notice(
+        fmt::format("{}: {} differs from run to run of the fit; the first file here is taken for the "
+                    "first of those, and so on",
+                    command.model, fmt::join(names, ", ")));
   return predict_drive(data->runs.empty() ? *runs : data->runs, drive);
 }
 

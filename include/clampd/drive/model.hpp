@@ -192,6 +192,10 @@ struct FittedDrive {
       std::numeric_limits<double>::quiet_NaN();  ///< of the torque, on rows that were not fitted
 };
 
+/// Names of the terms that are of the runs of the fit, by their number: a simulation of other runs takes the
+/// first for the first.
+std::vector<std::string> terms_of_runs(const FittedDrive& drive);
+
 /// What follows `values`, straight lines between their times, with a time constant.
 std::vector<double> settled(std::span<const double> time_s, std::span<const double> values,
                             double settling_s);
