@@ -206,33 +206,33 @@ double inertia_of(const Selector& selector, const TorqueModel& model) {
 
 /// An effect that fits only by taking the inertia's torque for its own has said nothing of the drive. It goes
 /// where the inertia would be negative beside it, or, if much is left all the same, a small part of what it
-/// is without it.
-void withdraw_what_takes_the_inertia(Selector& selector, const Design& design, const DriveModel& model,
-                                     Selection& selection, std::vector<std::string>& notices) {
+/// is without it. Returns its name.
+std::optional<std::string> withdraw_what_takes_the_inertia(Selector& selector, const Design& design,
+                                                           const DriveModel& model, Selection& selection,
+                                                           std::vector<std::string>& notices) {
   constexpr double kSmallPart = 0.4;
-  while (selection.best.parts.size() > selection.base.parts.size()) {
-    const double inertia = inertia_of(selector, selection.best);
-    const Remainder rest = remainder_of(design, selection.best, std::max(0.0, inertia));
-    const bool enough = is_enough(rest, model);
-    std::optional<TorqueModel> without_thief;
-    std::string thief;
-    double most = 0.0;
-    for (std::size_t p = 0; p < selection.best.parts.size(); ++p) {
-      const Variant& part = selection.best.parts[p];
-      if (!is_effect(selection, part)) continue;
-      TorqueModel smaller = selector.without(selection.best, p);
-      if (!smaller.ok()) continue;
-      const double before = inertia_of(selector, smaller);
-      if (!(before > most) || !(inertia < (enough ? 0.0 : kSmallPart * before))) continue;
-      most = before;
-      thief = part.name;
-      without_thief = std::move(smaller);
-    }
-    if (!without_thief) return;
-    notices.push_back(fmt::format("{} is no explanation: the inertia would be {:.0f} % of what it is without",
-                                  thief, 100.0 * inertia / most));
-    selection.best = std::move(*without_thief);
+  if (selection.best.parts.size() <= selection.base.parts.size()) return std::nullopt;
+  const double inertia = inertia_of(selector, selection.best);
+  const bool enough = is_enough(remainder_of(design, selection.best, std::max(0.0, inertia)), model);
+  std::optional<TorqueModel> without_thief;
+  std::string thief;
+  double most = 0.0;
+  for (std::size_t p = 0; p < selection.best.parts.size(); ++p) {
+    const Variant& part = selection.best.parts[p];
+    if (!is_effect(selection, part)) continue;
+    TorqueModel smaller = selector.without(selection.best, p);
+    if (!smaller.ok()) continue;
+    const double before = inertia_of(selector, smaller);
+    if (!(before > most) || !(inertia < (enough ? 0.0 : kSmallPart * before))) continue;
+    most = before;
+    thief = part.name;
+    without_thief = std::move(smaller);
   }
+  if (!without_thief) return std::nullopt;
+  notices.push_back(fmt::format("{} is no explanation: the inertia would be {:.0f} % of what it is without",
+                                thief, 100.0 * inertia / most));
+  selection.best = std::move(*without_thief);
+  return thief;
 }
 
 std::vector<Variant> effects_of(const Selection& selection) {
@@ -240,6 +240,49 @@ std::vector<Variant> effects_of(const Selection& selection) {
   for (const Variant& part : selection.best.parts)
     if (is_effect(selection, part)) effects.push_back(part);
   return effects;
+}
+
+/// Where the base model is nearly good enough, little is to be explained, and much that is on no list takes a
+/// form that some effect has in part. Names stay only if together they take half of it or more, noise apart.
+void withdraw_parts_of_little(const Design& design, const DriveModel& model, Selection& selection,
+                              std::vector<std::string>& notices) {
+  constexpr double kNearlyGoodEnough = 2.0, kHalf = 0.5;
+  if (selection.best.parts.size() <= selection.base.parts.size()) return;
+  const Remainder before = remainder_of(design, selection.base, 0.0);
+  if (!(before.share < kNearlyGoodEnough * model.good_enough)) return;
+  const Remainder after = remainder_of(design, selection.best, 0.0);
+  const double square = before.left * before.left, taken = square - after.left * after.left;
+  if (taken > kHalf * (square - after.noise * after.noise)) return;
+  std::vector<std::string> names;
+  for (const Variant& part : effects_of(selection)) names.push_back(part.name);
+  notices.push_back(fmt::format(
+      "{} would explain {:.0f} % of the squared torque that the base model leaves, which is little, and looks "
+      "like something else",
+      fmt::join(names, ", "), 100.0 * taken / square));
+  selection.best = selection.base;
+}
+
+/// The effects that the rows ask for. What turned out to be none of them is not tried again, and the search
+/// begins anew without it: it may have stood in the place of the right one.
+Selection select(Selector& selector, const Design& design, const DriveModel& model,
+                 std::vector<std::string>& notices, const std::function<void(double)>& progress) {
+  constexpr int kMostSearches = 4;
+  for (int search = 1;; ++search) {
+    Selection selection = selector.run(progress);
+    if (!selection.base.ok()) return selection;
+    withdraw_approximations(selector, design, model, selection, notices);
+    std::optional<std::string> none =
+        withdraw_what_takes_the_inertia(selector, design, model, selection, notices);
+    if (!none) {
+      withdraw_what_leans_on_the_rest(selector, design, model, selection, notices);
+      none = withdraw_what_takes_the_inertia(selector, design, model, selection, notices);
+    }
+    if (!none || search == kMostSearches) {
+      withdraw_parts_of_little(design, model, selection, notices);
+      return selection;
+    }
+    selector.exclude(*none);
+  }
 }
 
 GainFigures figures(const Design& design, const TorqueModel& model, const Remainder& remainder,
@@ -605,7 +648,11 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   prepare_noise(shop, model, options.false_alarm, std::max(options.most_effects, 6));
   Design& design = *shop.design;
   Selector selector(design, shop.range, model, shop.options);
-  Selection selection = selector.run([&](double share) { progress(0.4 + 0.5 * share, "effects"); });
+  DriveDiagnosis diagnosis;
+  diagnosis.data = std::move(readings->findings);
+  add_preparation(shop, model, diagnosis);
+  Selection selection = select(selector, design, model, diagnosis.notices,
+                               [&](double share) { progress(0.4 + 0.5 * share, "effects"); });
   if (!selection.base.ok())
     return failure(fmt::format(
         "{}: the base model cannot be fitted: its parts are off, or the runs do not tell them apart; record "
@@ -613,13 +660,6 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
         model.file));
   progress(0.9, "what is left");
 
-  DriveDiagnosis diagnosis;
-  diagnosis.data = std::move(readings->findings);
-  add_preparation(shop, model, diagnosis);
-  withdraw_approximations(selector, design, model, selection, diagnosis.notices);
-  withdraw_what_takes_the_inertia(selector, design, model, selection, diagnosis.notices);
-  withdraw_what_leans_on_the_rest(selector, design, model, selection, diagnosis.notices);
-  withdraw_what_takes_the_inertia(selector, design, model, selection, diagnosis.notices);
   selector.find_rivals(selection);
   diagnosis.rivals = selection.rivals;
   const std::vector<std::string> words = add_model(shop, selection, selector, model, runs, diagnosis);

@@ -134,8 +134,34 @@ std::vector<EstimatedParameter> Estimate::power_law(const Variant& variant, Eige
   return parameters;
 }
 
+/// a + b u + c u^3 + q P2(u), with Legendre's P2 and u = place / unit, is a spring that stiffens by c from
+/// where its stiffness is least, u0 = -q / 2c. Uncertainties to first order.
+std::vector<EstimatedParameter> Estimate::stiffening_spring(Eigen::Index first, double unit) const {
+  const auto at = [&](int i) { return model_.fit.coefficients[first + i]; };
+  const double a = at(1), b = at(0), c = at(2), q = at(3);
+  const double u0 = -q / (2.0 * c);
+  const double stiffness = b + 1.5 * q * u0, square = 1.5 * u0 * u0 - 0.5;
+  const std::string per_length = units_.torque + "/" + units_.position;
+  const auto parameter = [&](const char* name, const std::string& unit_name, double value, double by_a,
+                             double by_b, double by_c, double by_q, double scale) {
+    EstimatedParameter result = combined(name, unit_name,
+                                         {{first, by_b * scale},
+                                          {first + 1, by_a * scale},
+                                          {first + 2, by_c * scale},
+                                          {first + 3, by_q * scale}});
+    result.value = value * scale;
+    return result;
+  };
+  return {parameter("stiffness", per_length, stiffness, 0.0, 1.0, 3.0 * u0 * u0, 3.0 * u0, 1.0 / unit),
+          parameter("slack-at", units_.position, u0, 0.0, 0.0, -u0 / c, -0.5 / c, unit),
+          parameter("offset", units_.torque, a + b * u0 + c * u0 * u0 * u0 + q * square, 1.0, u0,
+                    u0 * u0 * u0 - stiffness * u0 / c, square - 0.5 * stiffness / c, 1.0),
+          parameter("stiffening", per_length + "^3", c, 0.0, 0.0, 1.0, 0.0, std::pow(unit, -3))};
+}
+
 std::vector<EstimatedParameter> Estimate::load_position(const Variant& variant, Eigen::Index first) const {
   const double unit = variant.functions.front().second;
+  if (variant.functions.size() == 4) return stiffening_spring(first, unit);
   std::vector<EstimatedParameter> parameters{
       single(first, "stiffness", units_.torque + "/" + units_.position, 0, 1.0 / unit)};
   const double slope = model_.fit.coefficients[first];

@@ -49,6 +49,7 @@ class Estimate {
   std::vector<EstimatedParameter> asymmetry(const Variant& variant, Eigen::Index at) const;
   std::vector<EstimatedParameter> stribeck(const Variant& variant, Eigen::Index first) const;
   std::vector<EstimatedParameter> power_law(const Variant& variant, Eigen::Index first) const;
+  std::vector<EstimatedParameter> stiffening_spring(Eigen::Index first, double unit) const;
   std::vector<EstimatedParameter> load_position(const Variant& variant, Eigen::Index first) const;
   std::vector<EstimatedParameter> drift(const Variant& variant, Eigen::Index first) const;
   std::vector<EstimatedParameter> gravity(const Variant& variant, Eigen::Index first) const;

@@ -131,6 +131,7 @@ std::vector<Variant> waves_in(const Design& design, const Eigen::VectorXd& resid
                               const DriveModel& model, DriveTerm term) {
   // Fewer periods are as well a slope and a curvature; more than these are no property of the way.
   constexpr double kFewest = 0.6, kMost = 30.0;
+  constexpr double kLeastOfATurn = 0.2;
   constexpr std::size_t kProposed = 3;
   const DriveData& data = design.data();
   const double longest = longest_travel(data);
@@ -139,7 +140,6 @@ std::vector<Variant> waves_in(const Design& design, const Eigen::VectorXd& resid
   const double highest =
       std::min(2.0 * M_PI * data.cut_off_Hz / std::max(range.slow, 0.1 * range.fast), kMost * period);
   const double lowest = kFewest * period;
-  if (!(highest > lowest)) return {};
   const bool inertia = term == DriveTerm::InertiaPosition;
   // In one direction friction that goes up and down is a load that does.
   constexpr double kLeastOfADirection = 0.15;
@@ -151,7 +151,8 @@ std::vector<Variant> waves_in(const Design& design, const Eigen::VectorXd& resid
     carrier.segment(first, size) = inertia ? run.acceleration : run.direction;
     first += size;
   }
-  const Scan scan = scanned(design, residuals, lowest, highest, 0.25 * period, &carrier);
+  Scan scan;
+  if (highest > lowest) scan = scanned(design, residuals, lowest, highest, 0.25 * period, &carrier);
   std::vector<Variant> variants;
   std::vector<double> tried;
   const auto propose = [&](double factor) {
@@ -162,11 +163,11 @@ std::vector<Variant> waves_in(const Design& design, const Eigen::VectorXd& resid
     for (const auto kind : {BasisFunction::Factor::Sine, BasisFunction::Factor::Cosine})
       variant.functions.push_back(
           {inertia ? BasisFunction::Carrier::Acceleration : BasisFunction::Carrier::Direction, kind, factor});
-    variant.alternatives = static_cast<double>(scan.gain.size());
+    variant.alternatives = std::max(2.0, static_cast<double>(scan.gain.size()));
     variants.push_back(std::move(variant));
   };
-  // Once a turn is what one expects of a rotary drive.
-  if (!model.linear && 1.0 > lowest && 1.0 < highest) propose(1.0);
+  // Once a turn is what one expects of a rotary drive, of which a part of a turn is enough.
+  if (!model.linear && 1.0 > kLeastOfATurn * period && 1.0 < highest) propose(1.0);
   for (const std::size_t k : strongest_first(scan)) {
     if (variants.size() >= kProposed || !(scan.gain[k] > 0.0)) break;
     double factor = peak_of(scan, k);

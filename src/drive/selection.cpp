@@ -329,6 +329,7 @@ std::vector<Variant> Selector::pool_of(const TorqueModel& model) {
   for (Variant& each : ripple_candidates(model)) pool.push_back(std::move(each));
   for (Variant& each : wave_candidates(model)) pool.push_back(std::move(each));
   for (Variant& each : load_candidates(model)) pool.push_back(std::move(each));
+  std::erase_if(pool, [&](const Variant& each) { return excluded_.contains(each.name); });
   return pool;
 }
 
@@ -527,7 +528,9 @@ bool Selector::swap(TorqueModel& model) {
     for (const TorqueModel& start : starts) {
       if (!start.ok()) continue;
       for (const Variant& variant : pool_) {
-        if (start.part(variant.term) != nullptr && variant.term != DriveTerm::Regressor) continue;
+        if (excluded_.contains(variant.name) ||
+            (start.part(variant.term) != nullptr && variant.term != DriveTerm::Regressor))
+          continue;
         TorqueModel other = with(start, variant);
         if (!other.ok() || !(other.evidence > best.evidence + 1.0) ||
             impossible(terms_of(other), range_, model_))

@@ -3,6 +3,7 @@
 #include <functional>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -61,6 +62,8 @@ class Selector {
   /// All but the rivals, which are those of the model that is kept in the end.
   Selection run(const std::function<void(double)>& progress);
   void find_rivals(Selection& selection);
+  /// An effect that is not tried from now on.
+  void exclude(const std::string& name) { excluded_.insert(name); }
 
   TorqueModel fitted(std::vector<Variant> parts);
   TorqueModel without(const TorqueModel& model, std::size_t part);
@@ -102,6 +105,7 @@ class Selector {
   SelectionOptions options_;
   std::vector<Variant> base_;
   std::vector<Variant> pool_;  ///< all that depends on no other part
+  std::set<std::string> excluded_;
   int candidates_ = 1;
   double variation_ = 0.0;     ///< norm of the torque of all rows about its mean
   double least_square_ = 0.0;  ///< that an effect takes of all rows' squared error

@@ -189,8 +189,8 @@ std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const 
   const BasisFunction place{Carrier::Direction, Factor::Place, range.centre(),
                             std::max(range.half(), 1e-300)};
   const BasisFunction cubic{Carrier::One, Factor::PlaceCubed, 0.0, std::max(range.half(), 1e-300)};
-  BasisFunction curvature = place;
-  curvature.factor = Factor::PlaceSquared;
+  BasisFunction curvature = place, square = slope;
+  curvature.factor = square.factor = Factor::PlaceSquared;
   switch (term) {
     case DriveTerm::Inertia:
       builder.add({{Carrier::Acceleration}});
@@ -229,6 +229,7 @@ std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const 
       builder.add({slope, {Carrier::One}});
       builder.add({slope, cubic});
       builder.add({slope, {Carrier::One}, cubic});
+      builder.add({slope, {Carrier::One}, cubic, square});  // about a place of its own
       break;
     case DriveTerm::InertiaPosition: {
       BasisFunction mass = place, mass_curvature = curvature;
