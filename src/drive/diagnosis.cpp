@@ -262,9 +262,29 @@ void withdraw_parts_of_little(const Design& design, const DriveModel& model, Sel
   selection.best = selection.base;
 }
 
+/// One sinusoid shows nothing of an effect but the harmonics of its torque, which others have as well. Names
+/// beside which more than a small part is left have not told which they are.
+void withdraw_guesses_of_one_sinusoid(const Design& design, const DriveRange& range,
+                                      Selection& selection, std::vector<std::string>& notices) {
+  constexpr double kNearlySinusoidal = 0.9, kSmallPart = 0.05;
+  if (range.sinusoidal < kNearlySinusoidal || selection.best.parts.size() <= selection.base.parts.size()) return;
+  const Remainder before = remainder_of(design, selection.base, 0.0),
+                  after = remainder_of(design, selection.best, 0.0);
+  const double noise = after.noise * after.noise;
+  const double left = (after.left * after.left - noise) / (before.left * before.left - noise);
+  if (after.is_noise() || !(left > kSmallPart)) return;
+  std::vector<std::string> names;
+  for (const Variant& part : effects_of(selection)) names.push_back(part.name);
+  notices.push_back(fmt::format(
+      "beside {} {:.0f} % of the misfit's square would be left, and in a motion of one sinusoid other effects "
+      "look alike: record another motion as well",
+      fmt::join(names, ", "), 100.0 * left));
+  selection.best = selection.base;
+}
+
 /// The effects that the rows ask for. What turned out to be none of them is not tried again, and the search
 /// begins anew without it: it may have stood in the place of the right one.
-Selection select(Selector& selector, const Design& design, const DriveModel& model,
+Selection select(Selector& selector, const Design& design, const DriveRange& range, const DriveModel& model,
                  std::vector<std::string>& notices, const std::function<void(double)>& progress) {
   constexpr int kMostSearches = 4;
   for (int search = 1;; ++search) {
@@ -279,6 +299,7 @@ Selection select(Selector& selector, const Design& design, const DriveModel& mod
     }
     if (!none || search == kMostSearches) {
       withdraw_parts_of_little(design, model, selection, notices);
+      withdraw_guesses_of_one_sinusoid(design, range, selection, notices);
       return selection;
     }
     selector.exclude(*none);
@@ -651,7 +672,7 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   DriveDiagnosis diagnosis;
   diagnosis.data = std::move(readings->findings);
   add_preparation(shop, model, diagnosis);
-  Selection selection = select(selector, design, model, diagnosis.notices,
+  Selection selection = select(selector, design, shop.range, model, diagnosis.notices,
                                [&](double share) { progress(0.4 + 0.5 * share, "effects"); });
   if (!selection.base.ok())
     return failure(fmt::format(

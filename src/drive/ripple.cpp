@@ -10,7 +10,7 @@ namespace clampd::drive {
 namespace {
 
 constexpr double kMostPeriods = 400.0;  ///< over the travel
-constexpr double kLeastPeriods = 3.0;   ///< fewer are a smooth function of the place, not a ripple
+constexpr double kLeastPeriods = 2.0;   ///< fewer are a smooth function of the place, not a ripple
 /// Of a rotary drive, orders nearer to 1 than the travel can tell are gravity's.
 constexpr double kFromGravity = 1.5;
 constexpr std::size_t kMostOrders = 6;
@@ -196,7 +196,7 @@ std::vector<Variant> ripples_in(const Design& design, const Eigen::VectorXd& res
                                  model.linear ? 0.0 : 1.0 + kFromGravity * 2.0 * M_PI / longest);
   if (!(highest > lowest))
     return refuse(
-        "the runs are too short, or the motion too fast for the sampling, for three periods of a ripple");
+        "the runs are too short, or the motion too fast for the sampling, for two periods of a ripple");
   const double step = std::min(0.35 * 2.0 * M_PI / longest, 0.5 * (highest - lowest));
   const Scan scan = scanned(design, residuals, lowest, highest, step);
   std::vector<Variant> variants;

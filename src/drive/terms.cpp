@@ -151,6 +151,24 @@ bool is_constant(const DriveData& data, std::size_t regressor) {
   return highest - lowest <= kRounding * std::max(std::abs(lowest), std::abs(highest));
 }
 
+namespace {
+
+/// Squared correlation of position and acceleration, about each run's means.
+double sinusoidal(const DriveData& data) {
+  double product = 0.0, position = 0.0, acceleration = 0.0;
+  for (const DriveRows& run : data.runs) {
+    if (run.heldout) continue;
+    const Eigen::VectorXd place = run.position.array() - run.position.mean();
+    const Eigen::VectorXd change = run.acceleration.array() - run.acceleration.mean();
+    product += place.dot(change);
+    position += place.squaredNorm();
+    acceleration += change.squaredNorm();
+  }
+  return position > 0.0 && acceleration > 0.0 ? product * product / (position * acceleration) : 0.0;
+}
+
+}  // namespace
+
 DriveRange range_of(const DriveData& data) {
   DriveRange range;
   range.lowest = std::numeric_limits<double>::infinity();
@@ -178,6 +196,7 @@ DriveRange range_of(const DriveData& data) {
   range.fast = speeds[static_cast<std::size_t>(0.98 * (count - 1.0))];
   range.acceleration = std::sqrt(acceleration / count);
   range.torque = std::sqrt(torque / count);
+  range.sinusoidal = sinusoidal(data);
   range.forward = forward / count;
   return range;
 }
@@ -277,6 +296,7 @@ std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const 
 
 std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& range, const DriveData& data,
                                              const DriveModel& model) {
+  constexpr double kPureSinusoid = 0.998;
   const bool one_speed = range.fast < 1.5 * range.slow;
   const Unidentifiable directions{"the runs go in one direction only",
                                   "the same motion forward and backward"};
@@ -308,6 +328,10 @@ std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& r
         return Unidentifiable{"a run at steady speed counts as one point without a place", "runs to and fro"};
       if (no_place) return places;
       if (term == DriveTerm::LoadPosition && !range.both_directions()) return directions;
+      if (term == DriveTerm::LoadPosition && range.sinusoidal > kPureSinusoid)
+        return Unidentifiable{
+            "the motion is one sinusoid, in which a spring's torque and the inertia's are the same",
+            "the same motion at half the frequency as well"};
       break;
     case DriveTerm::InertiaPosition:
       if (model.steady || !(range.acceleration > 0.0))

@@ -21,6 +21,7 @@ struct DriveRange {
   double forward = 0.0;  ///< share of the rows
   double torque = 0.0;   ///< root mean square
   double most_torque = 0.0;
+  double sinusoidal = 0.0;  ///< 1: one sinusoid; the squared correlation of position and acceleration
 
   double centre() const { return 0.5 * (lowest + highest); }
   double half() const { return 0.5 * (highest - lowest); }
