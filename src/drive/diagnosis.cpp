@@ -256,8 +256,8 @@ void withdraw_parts_of_little(const Design& design, const DriveModel& model, Sel
   std::vector<std::string> names;
   for (const Variant& part : effects_of(selection)) names.push_back(part.name);
   notices.push_back(fmt::format(
-      "{} would explain {:.0f} % of the squared torque that the base model leaves, which is little, and looks "
-      "like something else",
+      "{} would explain {:.0f} % of the square of what the base model leaves, which is little, and looks like "
+      "something else",
       fmt::join(names, ", "), 100.0 * taken / square));
   selection.best = selection.base;
 }

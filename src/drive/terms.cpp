@@ -330,7 +330,7 @@ std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& r
       if (term == DriveTerm::LoadPosition && !range.both_directions()) return directions;
       if (term == DriveTerm::LoadPosition && range.sinusoidal > kPureSinusoid)
         return Unidentifiable{
-            "the motion is one sinusoid, in which a spring's torque and the inertia's are the same",
+            "the motion is one sinusoid, in which a spring and the inertia are the same",
             "the same motion at half the frequency as well"};
       break;
     case DriveTerm::InertiaPosition:
