@@ -255,19 +255,21 @@ void withdraw_parts_of_little(const Design& design, const DriveModel& model, Sel
   if (taken > kHalf * (square - after.noise * after.noise)) return;
   std::vector<std::string> names;
   for (const Variant& part : effects_of(selection)) names.push_back(part.name);
-  notices.push_back(fmt::format(
-      "{} would explain {:.0f} % of the square of what the base model leaves, which is little, and looks like "
-      "something else",
-      fmt::join(names, ", "), 100.0 * taken / square));
+  notices.push_back(
+      fmt::format("{} would explain {:.0f} % of the square of what the base model leaves, which is little, "
+                  "and looks like "
+                  "something else",
+                  fmt::join(names, ", "), 100.0 * taken / square));
   selection.best = selection.base;
 }
 
 /// One sinusoid shows nothing of an effect but the harmonics of its torque, which others have as well. Names
 /// beside which more than a small part is left have not told which they are.
-void withdraw_guesses_of_one_sinusoid(const Design& design, const DriveRange& range,
-                                      Selection& selection, std::vector<std::string>& notices) {
+void withdraw_guesses_of_one_sinusoid(const Design& design, const DriveRange& range, Selection& selection,
+                                      std::vector<std::string>& notices) {
   constexpr double kNearlySinusoidal = 0.9, kSmallPart = 0.05;
-  if (range.sinusoidal < kNearlySinusoidal || selection.best.parts.size() <= selection.base.parts.size()) return;
+  if (range.sinusoidal < kNearlySinusoidal || selection.best.parts.size() <= selection.base.parts.size())
+    return;
   const Remainder before = remainder_of(design, selection.base, 0.0),
                   after = remainder_of(design, selection.best, 0.0);
   const double noise = after.noise * after.noise;
@@ -275,10 +277,11 @@ void withdraw_guesses_of_one_sinusoid(const Design& design, const DriveRange& ra
   if (after.is_noise() || !(left > kSmallPart)) return;
   std::vector<std::string> names;
   for (const Variant& part : effects_of(selection)) names.push_back(part.name);
-  notices.push_back(fmt::format(
-      "beside {} {:.0f} % of the misfit's square would be left, and in a motion of one sinusoid other effects "
-      "look alike: record another motion as well",
-      fmt::join(names, ", "), 100.0 * left));
+  notices.push_back(
+      fmt::format("beside {} {:.0f} % of the misfit's square would be left, and in a motion of one sinusoid "
+                  "other effects "
+                  "look alike: record another motion as well",
+                  fmt::join(names, ", "), 100.0 * left));
   selection.best = selection.base;
 }
 

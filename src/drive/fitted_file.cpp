@@ -41,6 +41,7 @@ toml::table source_table(const ColumnSource& source) {
   if (source.wrap != 0.0) table.insert("wrap", source.wrap);
   if (source.offset != 0.0) table.insert("offset", source.offset);
   if (!source.minus.empty()) table.insert("minus", source.minus);
+  if (source.late_s != 0.0) table.insert("late_s", source.late_s);
   return table;
 }
 

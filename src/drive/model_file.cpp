@@ -110,13 +110,16 @@ class ModelReader : public drive::StrictReader {
       if (!column) return std::nullopt;
       return ColumnSource{*column};
     }
-    known(*table, key, {"column", "scale", "wrap", "offset", "minus", "use"});
+    known(*table, key, {"column", "scale", "wrap", "offset", "minus", "late_s", "use"});
     const std::optional<std::string> column = text(*table, "column");
     if (!column) refuse(*node, fmt::format("columns.{} needs column = \"...\"", key));
     ColumnSource source{column.value_or(""), number(*table, "scale", false).value_or(1.0),
                         number(*table, "wrap", true).value_or(0.0)};
     if (table->contains("offset")) source.offset = finite(*table, "offset");
     source.minus = text(*table, "minus").value_or("");
+    if (table->contains("late_s")) source.late_s = finite(*table, "late_s");
+    if (source.late_s != 0.0 && (key == "time" || key == "drive_enabled"))
+      refuse(*table->get("late_s"), fmt::format("{} cannot be late; give late_s of the readings", key));
     return source;
   }
 

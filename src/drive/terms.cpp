@@ -329,9 +329,8 @@ std::optional<Unidentifiable> unidentifiable(DriveTerm term, const DriveRange& r
       if (no_place) return places;
       if (term == DriveTerm::LoadPosition && !range.both_directions()) return directions;
       if (term == DriveTerm::LoadPosition && range.sinusoidal > kPureSinusoid)
-        return Unidentifiable{
-            "the motion is one sinusoid, in which a spring and the inertia are the same",
-            "the same motion at half the frequency as well"};
+        return Unidentifiable{"the motion is one sinusoid, in which a spring and the inertia are the same",
+                              "the same motion at half the frequency as well"};
       break;
     case DriveTerm::InertiaPosition:
       if (model.steady || !(range.acceleration > 0.0))

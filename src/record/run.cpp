@@ -27,6 +27,7 @@ struct Column {
   std::string_view minus = {};
   int other = -1;  ///< index in Run::others instead of `values`
   std::string_view label = {};  ///< its name there
+  double late_s = 0.0;
 };
 
 std::vector<double>& values_of(Run& run, const Column& column) {
@@ -64,12 +65,12 @@ std::string shown(std::string_view text) {
   return result;
 }
 
-void split(std::string_view line, std::vector<Field>& fields) {
+void split(std::string_view line, char separator, std::vector<Field>& fields) {
   fields.clear();
   std::size_t start = 0;
   while (true) {
-    const std::size_t comma = line.find(',', start);
-    const std::string_view raw = line.substr(start, comma == std::string_view::npos ? comma : comma - start);
+    const std::size_t end = line.find(separator, start);
+    const std::string_view raw = line.substr(start, end == std::string_view::npos ? end : end - start);
     std::string_view text = trim(raw);
     Field field;
     field.column = 1 + (text.empty() ? start : static_cast<std::size_t>(text.data() - line.data()));
@@ -77,8 +78,8 @@ void split(std::string_view line, std::vector<Field>& fields) {
       text = trim(text.substr(1, text.size() - 2));
     field.text = text;
     fields.push_back(field);
-    if (comma == std::string_view::npos) return;
-    start = comma + 1;
+    if (end == std::string_view::npos) return;
+    start = end + 1;
   }
 }
 
@@ -88,6 +89,23 @@ std::optional<double> parse_number(std::string_view text) {
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value)) return std::nullopt;
   return value;
+}
+
+/// The same where columns are not separated by commas, so that one may stand for the decimal point.
+std::optional<double> parse_number(std::string_view text, char separator) {
+  const std::size_t comma = separator == ',' ? std::string_view::npos : text.find(',');
+  if (comma == std::string_view::npos) return parse_number(text);
+  if (text.find('.') != std::string_view::npos) return std::nullopt;  // "1,234.5" could be either
+  std::string with_point(text);
+  with_point[comma] = '.';
+  return parse_number(with_point);
+}
+
+/// Loggers and spreadsheets write commas, semicolons where the comma is the decimal point, or tabs.
+char separator_of(std::string_view header) {
+  for (const char each : {';', '\t'})
+    if (header.find(each) != std::string_view::npos) return each;
+  return ',';
 }
 
 class LineReader {
@@ -167,6 +185,42 @@ Result<void> convert(const Column& column, Run& run, std::vector<double>& subtra
   return {};
 }
 
+/// Straight lines between the rows.
+double interpolated(const std::vector<double>& times, const std::vector<double>& values, double at) {
+  const auto next = std::ranges::lower_bound(times, at);
+  if (next == times.begin()) return values.front();
+  if (next == times.end()) return values.back();
+  const auto i = static_cast<std::size_t>(next - times.begin());
+  return values[i - 1] + (values[i] - values[i - 1]) * (at - times[i - 1]) / (times[i] - times[i - 1]);
+}
+
+/// Moves what was read late to where it belongs, and leaves out the rows at the ends for which it was not read.
+Result<void> take_out_delays(Run& run, std::span<const Column> columns) {
+  double earliest_s = 0.0, latest_s = 0.0;
+  for (const Column& column : columns) {
+    earliest_s = std::min(earliest_s, column.late_s);
+    latest_s = std::max(latest_s, column.late_s);
+  }
+  if (earliest_s == 0.0 && latest_s == 0.0) return {};
+  const std::vector<double> times = run.time_s;
+  const auto first = std::ranges::lower_bound(times, times.front() - earliest_s) - times.begin();
+  const auto last = std::ranges::upper_bound(times, times.back() - latest_s) - times.begin();
+  if (last <= first)
+    return failure(fmt::format("{}: with the delays of the model file, late_s, no row has all readings; the file lasts {:.3g} s",
+                               run.name, times.back() - times.front()));
+  for (const Column& column : columns) {
+    std::vector<double>& values = values_of(run, column);
+    if (values.empty()) continue;
+    std::vector<double> kept;
+    for (auto i = first; i < last; ++i) {
+      const auto row = static_cast<std::size_t>(i);
+      kept.push_back(column.late_s == 0.0 ? values[row] : interpolated(times, values, times[row] + column.late_s));
+    }
+    values = std::move(kept);
+  }
+  return {};
+}
+
 /// Where in a file something is wrong.
 struct Place {
   const std::string& file;
@@ -216,12 +270,12 @@ Result<Targets> targets_in(Run& run, std::span<const Column> columns, const std:
   return targets;
 }
 
-Result<void> read_row(const std::vector<Field>& fields, const std::vector<Field>& header, const Targets& targets, Run& run,
-                      const Place& place) {
+Result<void> read_row(const std::vector<Field>& fields, char separator, const std::vector<Field>& header, const Targets& targets,
+                      Run& run, const Place& place) {
   for (std::size_t i = 0; i < fields.size(); ++i) {
     const Target& target = targets.of_field[i];
     if (target.values == nullptr && target.subtracted == nullptr) continue;
-    const std::optional<double> value = parse_number(fields[i].text);
+    const std::optional<double> value = parse_number(fields[i].text, separator);
     if (!value)
       return place.fails(fields[i].column, fmt::format("{} is not a finite number: \"{}\"", header[i].text, shown(fields[i].text)));
     if (target.values == &run.time_s && !run.time_s.empty() && *value <= run.time_s.back())
@@ -256,7 +310,8 @@ Result<LoadedRun> parse_columns(const std::string& text, const std::string& name
   }
   const std::size_t header_lines = lines.number();
   std::vector<Field> header;
-  split(line, header);
+  const char separator = foreign ? separator_of(line) : ',';
+  split(line, separator, header);
   if (header.size() == 1 && line.find_first_of(";\t") != std::string_view::npos)
     return place.fails(1 + line.find_first_of(";\t"), "columns must be separated by commas");
 
@@ -275,17 +330,18 @@ Result<LoadedRun> parse_columns(const std::string& text, const std::string& name
   fields.reserve(header.size());
   while (next()) {
     if (trim(line).empty()) return place.fails(1, "an empty line between rows");
-    split(line, fields);
+    split(line, separator, fields);
     if (fields.size() != header.size())
       return place.fails(fields.size() > header.size() ? fields[header.size()].column : line.size() + 1,
                          fmt::format("the row has {} fields, the header {}", fields.size(), header.size()));
-    if (const Result<void> read = read_row(fields, header, *targets, loaded.run, place); !read) return tl::unexpected(read.error());
+    if (const Result<void> read = read_row(fields, separator, header, *targets, loaded.run, place); !read) return tl::unexpected(read.error());
   }
   if (loaded.run.size() == 0)
     return failure(fmt::format("{}:{}:1: the file has a header and no rows", name, lines.number() + 1));
   for (std::size_t c = 0; c < columns.size(); ++c)
     if (const Result<void> converted = convert(columns[c], loaded.run, targets->subtracted[c], header_lines); !converted)
       return tl::unexpected(converted.error());
+  if (const Result<void> shifted = take_out_delays(loaded.run, columns); !shifted) return tl::unexpected(shifted.error());
   for (std::size_t c = 0; c < columns.size(); ++c)  // by the names that the map gives them
     if (columns[c].other >= 0) loaded.run.others[static_cast<std::size_t>(columns[c].other)].name = columns[c].label;
   return loaded;
@@ -295,6 +351,7 @@ std::vector<Column> columns_of(const ColumnMap& map) {
   std::vector<Column> columns;
   const auto add = [&](const ColumnSource& source, std::vector<double> Run::*values) {
     columns.push_back({source.column, values, true, source.scale, source.wrap, source.offset, source.minus});
+    columns.back().late_s = source.late_s;
   };
   add(map.time, &Run::time_s);
   add(map.torque, &Run::torque_Nm);
@@ -356,6 +413,33 @@ std::vector<Run> driven_runs(std::span<const Run> runs) {
   std::vector<Run> driven;
   std::ranges::copy_if(runs, std::back_inserter(driven), is_driven);
   return driven;
+}
+
+Result<TableHeader> find_header(const std::string& text, const std::string& name) {
+  constexpr std::size_t kLeastColumns = 3;
+  constexpr int kMostLines = 200;
+  LineReader lines(text);
+  std::string_view line;
+  std::vector<Field> header, fields;
+  TableHeader found;
+  char separator = ',';
+  bool only_comments = true;  // before this line
+  while (lines.next(line) && lines.number() < kMostLines) {
+    if (trim(line).starts_with('#')) continue;
+    split(line, separator, fields);
+    const auto is_number = [&](const Field& field) { return parse_number(field.text, separator).has_value(); };
+    if (header.size() >= kLeastColumns && fields.size() == header.size() && std::ranges::all_of(fields, is_number)) {
+      for (const Field& field : header) found.names.emplace_back(field.text);
+      return found;
+    }
+    found.skip_lines = only_comments ? 0 : static_cast<int>(lines.number()) - 1;
+    only_comments = false;
+    separator = separator_of(line);
+    split(line, separator, header);
+  }
+  return failure(fmt::format("{}: no line of three names or more is followed by a line with as many numbers. Columns are separated "
+                             "by commas, semicolons or tabs, under one line of names",
+                             name));
 }
 
 Result<LoadedRun> parse_run(const std::string& text, const std::string& name) {

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <string>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -12,8 +13,11 @@
 namespace clampd {
 namespace {
 
+using ::testing::AllOf;
+using ::testing::DoubleNear;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::Pointwise;
 using ::testing::StartsWith;
 
 constexpr const char* kSmallest = R"([drive]
@@ -132,6 +136,113 @@ TEST(ForeignColumns, AreShiftedAndSubtractedAfterLinesThatAreNotRead) {
   const Result<LoadedRun> too_short = parse_run("t,q,rear,front,F\n0,1,2,5,4\n", "r.csv", model->columns);
   ASSERT_FALSE(too_short);
   EXPECT_THAT(too_short.error().message, StartsWith("r.csv:"));
+}
+
+TEST(ForeignColumns, MayBeSeparatedBySemicolonsOrTabsWithDecimalCommas) {
+  const Result<DriveModel> model = parse_drive_model(kSmallest, "m.toml");
+  ASSERT_TRUE(model);
+  for (const char* text :
+       {"i;t;count\n1,5;0;6\n-2,5;0,5;7\n", "i\tt\tcount\r\n1,5\t0\t6\r\n-2.5\t0,5\t7\r\n"}) {
+    const Result<LoadedRun> loaded = parse_run(text, "r.csv", model->columns);
+    ASSERT_TRUE(loaded) << loaded.error().message;
+    EXPECT_THAT(loaded->run.torque_Nm, ElementsAre(1.5, -2.5));
+    EXPECT_THAT(loaded->run.time_s, ElementsAre(0, 0.5));
+  }
+  for (const char* number : {"1.234,5", "1,234.5", "1,2,3"}) {
+    const Result<LoadedRun> loaded =
+        parse_run("i;t;count\n" + std::string(number) + ";0;6\n", "r.csv", model->columns);
+    ASSERT_FALSE(loaded) << number;
+    EXPECT_THAT(loaded.error().message, AllOf(StartsWith("r.csv:2:1: "), HasSubstr(number)));
+  }
+}
+
+TEST(ForeignColumns, ThatAreLateMoveToWhereTheyBelong) {
+  const Result<DriveModel> model = parse_drive_model(
+      "[drive]\nkind = \"rotary\"\n[columns]\ntime = \"t\"\nposition = {column = \"q\", late_s = 0.15}\n"
+      "torque = {column = \"u\", late_s = -0.1}\n",
+      "m.toml");
+  ASSERT_TRUE(model) << model.error().message;
+  std::string text = "t,q,u\n";
+  for (int k = 0; k < 8; ++k) text += fmt::format("{},{},{}\n", 0.1 * k, 10.0 * k, k * k);
+  const Result<LoadedRun> loaded = parse_run(text, "r.csv", model->columns);
+  ASSERT_TRUE(loaded) << loaded.error().message;
+  // Of 0.0 to 0.7 s: the torque of 0.0 s is that of 0.1 s, the position read at 0.7 s that of 0.55 s.
+  EXPECT_THAT(loaded->run.time_s, Pointwise(DoubleNear(1e-9), {0.1, 0.2, 0.3, 0.4, 0.5}));
+  EXPECT_THAT(loaded->run.torque_Nm, Pointwise(DoubleNear(1e-9), {0, 1, 4, 9, 16}));
+  EXPECT_THAT(loaded->run.position_rad, Pointwise(DoubleNear(1e-9), {25, 35, 45, 55, 65}));
+
+  EXPECT_THAT(error_of("[drive]\nkind = \"rotary\"\n[columns]\ntorque = \"u\"\nposition = \"q\"\n"
+                       "time = {column = \"t\", late_s = 1}\n"),
+              HasSubstr("time cannot be late"));
+  const Result<LoadedRun> none = parse_run("t,q,u\n0,1,2\n0.1,2,3\n", "r.csv", model->columns);
+  ASSERT_FALSE(none);
+  EXPECT_THAT(none.error().message, HasSubstr("late_s"));
+}
+
+class ProposedModel : public ::testing::Test {
+ protected:
+  Result<ProposedDriveModel> proposed(const std::string& text) {
+    folder_.write("run.csv", text);
+    return propose_drive_model(folder_.path("run.csv"));
+  }
+  support::TemporaryDirectory folder_;
+};
+
+TEST_F(ProposedModel, TakesNamesAndUnitsAsLoggersWriteThem) {
+  const auto file =
+      "Logger 3.1\n\nZeit [ms];Strom (A);Drehzahl [rpm];Soll Drehzahl [rpm];Winkel_deg\n"
+      "0;1,5;20,5;3;0\n2;1,6;20,3;3;-90\n";
+  const Result<ProposedDriveModel> found = proposed(file);
+  ASSERT_TRUE(found) << found.error().message;
+  const Result<DriveModel> model = parse_drive_model(found->text, "m.toml");
+  ASSERT_TRUE(model) << model.error().message << found->text;
+  EXPECT_FALSE(model->linear);
+  EXPECT_EQ(model->torque_unit, "A");
+  const Result<LoadedRun> run = parse_run(file, "run.csv", model->columns);
+  ASSERT_TRUE(run) << run.error().message;
+  EXPECT_THAT(run->run.time_s, Pointwise(DoubleNear(1e-12), {0.0, 2e-3}));
+  EXPECT_THAT(run->run.torque_Nm, ElementsAre(1.5, 1.6));
+  EXPECT_THAT(run->run.velocity_rad_s, Pointwise(DoubleNear(1e-6), {20.5 * M_PI / 30, 20.3 * M_PI / 30}));
+  EXPECT_THAT(run->run.position_rad, Pointwise(DoubleNear(1e-6), {0.0, -0.5 * M_PI}));
+  EXPECT_THAT(found->text, HasSubstr("# \"Soll Drehzahl [rpm]\""));
+  EXPECT_THAT(found->notices, ::testing::IsEmpty());
+}
+
+TEST_F(ProposedModel, SaysWhatTheNamesLeaveOpen) {
+  const Result<ProposedDriveModel> found = proposed("# by hand\nt,tau,encoder_counts\n0,1,2\n1,1,2\n");
+  ASSERT_TRUE(found) << found.error().message;
+  const Result<DriveModel> model = parse_drive_model(found->text, "m.toml");
+  ASSERT_TRUE(model) << model.error().message;
+  EXPECT_EQ(model->columns.skip_lines, 0);
+  EXPECT_THAT(found->notices, ::testing::UnorderedElementsAre(HasSubstr("\"t\", taken for the time"),
+                                                              HasSubstr("\"tau\", taken for the torque"),
+                                                              HasSubstr("\"encoder_counts\" counts steps")));
+}
+
+TEST_F(ProposedModel, IsLinearByItsUnitsAndTakesNoReferenceForTheMotion) {
+  const Result<ProposedDriveModel> found = proposed("time_s,x_ref_mm,x_mm,force_kN\n0,1,2,3\n1,2,3,4\n");
+  ASSERT_TRUE(found) << found.error().message;
+  const Result<DriveModel> model = parse_drive_model(found->text, "m.toml");
+  ASSERT_TRUE(model) << model.error().message;
+  EXPECT_TRUE(model->linear);
+  EXPECT_EQ(model->torque_unit, "N");
+  EXPECT_EQ(model->columns.position->column, "x_mm");
+  EXPECT_EQ(model->columns.position->scale, 1e-3);
+  EXPECT_EQ(model->columns.torque.scale, 1e3);
+}
+
+TEST_F(ProposedModel, ErrorsSayWhatIsMissing) {
+  const auto message = [&](const std::string& text) {
+    const Result<ProposedDriveModel> found = proposed(text);
+    return found ? found->text : found.error().message;
+  };
+  EXPECT_THAT(message("time_s,temperature,pressure\n0,1,2\n"),
+              AllOf(HasSubstr("tells that it is the torque"), HasSubstr("\"temperature\"")));
+  EXPECT_THAT(message("time_s,torque_Nm,temperature\n0,1,2\n"), HasSubstr("tells that it is the motion"));
+  EXPECT_THAT(message(""), HasSubstr("no line of three names"));
+  EXPECT_THAT(message("a,b,c\nx,y,z\n"), HasSubstr("no line of three names"));
+  EXPECT_THAT(message("\"a\x01\",torque,pos,time\n1,2,3,4\n"), HasSubstr("# \"a\\u0001\""));
+  EXPECT_FALSE(propose_drive_model(folder_.path("none.csv")));
 }
 
 TEST(DriveModelFile, RefusesWrongOffsetsAndLines) {

@@ -208,6 +208,16 @@ double torque_of(const FittedDrive& drive, const DriveState& state);
 Result<DriveModel> read_drive_model(const std::string& path);
 Result<DriveModel> parse_drive_model(const std::string& text, const std::string& path);
 
+/// A model file for runs that have none yet.
+struct ProposedDriveModel {
+  std::string text;                  ///< reads as a model file
+  std::vector<std::string> notices;  ///< what the names of the columns leave open
+};
+
+/// From the names of a run file's columns and the units in them. Errors: it is no table; no name tells of a
+/// time, a torque or a motion; the message lists the names.
+Result<ProposedDriveModel> propose_drive_model(const std::string& path);
+
 /// Reads a run by the model's columns; Run::others then are the regressors, in their order. Errors as
 /// read_run(), and where the model has no values for this file.
 Result<LoadedRun> read_drive_run(const std::string& path, const DriveModel& model);

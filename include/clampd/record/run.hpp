@@ -77,6 +77,7 @@ struct ColumnSource {
   double wrap = 0.0;   ///< the reading starts again at zero after this many units; 0: never
   double offset = 0.0;  ///< in SI units, added after scaling
   std::string minus = {};  ///< another column, in the same units, that is subtracted from it
+  double late_s = 0.0;     ///< by which the reading comes too late
 };
 
 /// The columns of a foreign file. What is absent leaves its array in the run empty.
@@ -92,7 +93,17 @@ struct ColumnMap {
   int skip_lines = 0;  ///< before the header
 };
 
-/// As read_run() without a map, errors included.
+/// The line of names in a file of somebody else's.
+struct TableHeader {
+  int skip_lines = 0;  ///< before it; 0 if they are comments or empty
+  std::vector<std::string> names;
+};
+
+/// The first line that is followed by as many numbers. Error: there is none.
+Result<TableHeader> find_header(const std::string& text, const std::string& name);
+
+/// As read_run() without a map, errors included. Columns may also be separated by semicolons or tabs; then
+/// numbers may have a decimal comma.
 Result<LoadedRun> read_run(const std::string& path, const ColumnMap& columns);
 Result<LoadedRun> parse_run(const std::string& text, const std::string& name, const ColumnMap& columns);
 
