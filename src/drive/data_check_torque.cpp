@@ -363,12 +363,15 @@ void check_clipping(RunCheck& check) {
         fmt::format("{}, and the motion there needs {:.0f} % more: the reading is clipped, and the {} goes "
                     "on. Record with a larger range, or leave those parts out of the file",
                     what, 100.0 * beyond, check.model.effort()));
-  else if (!command)
+  else
     check.add(
         "clipped", column, static_cast<double>(rows), "rows", DataSeverity::Note,
-        fmt::format("{}: the drive limits its {}, or the reading is clipped. If the reading is, record with "
-                    "a larger range",
-                    what, check.model.effort()));
+        command ? fmt::format("{0}: the controller is at its limit there, or the {1} was clipped on its way "
+                              "to the file. If it was, record it with a larger range",
+                              what, check.model.effort())
+                : fmt::format("{}: the drive limits its {}, or the reading is clipped. If the reading is, "
+                              "record with a larger range",
+                              what, check.model.effort()));
 }
 
 }  // namespace clampd::data_check

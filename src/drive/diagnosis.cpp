@@ -605,7 +605,7 @@ void decide(const Rests& rests, const std::vector<std::string>& words, bool poss
   const double percent = 100.0 * rest.share;
   const std::string share = fmt::format("{:.3g} % of the {}'s variation before, {:.3g} % after",
                                         100.0 * rests.before.share, model.effort(), percent);
-  if (diagnosis.effects.empty() && enough && !structured) {
+  if (diagnosis.effects.empty() && enough) {
     diagnosis.verdict = DiagnosisVerdict::Adequate;
     diagnosis.summary = fmt::format(
         "{}: the base model explains the runs; {:.3g} % of the {}'s variation is left, {}.", model.name,
@@ -629,8 +629,8 @@ void decide(const Rests& rests, const std::vector<std::string>& words, bool poss
   } else {
     diagnosis.verdict = diagnosis.rivals.empty() ? DiagnosisVerdict::Explained : DiagnosisVerdict::Ambiguous;
     diagnosis.summary = fmt::format("{}: {}. Left: {}.", model.name, listed(words), share);
-    if (structured) diagnosis.notices.push_back(fmt::format("what is left {}", what_is_left));
   }
+  if (enough && structured) diagnosis.notices.push_back(fmt::format("what is left {}", what_is_left));
 }
 
 void add_gain(const Workshop& shop, const Selection& selection, const Rests& rests, Diagnosis& diagnosis) {
