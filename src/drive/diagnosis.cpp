@@ -18,6 +18,7 @@
 #include "src/drive/parameters.hpp"
 #include "src/drive/remainder.hpp"
 #include "src/drive/steady_ripple.hpp"
+#include "src/drive/withdrawal.hpp"
 
 namespace clampd {
 namespace {
@@ -37,9 +38,6 @@ constexpr std::array<UnseenReason, 4> kNeverSeen{{
 /// A reading that is late by less than this many rows is put right without a word about the drive: a command
 /// acts until the next row.
 constexpr double kAlignedRows = 1.0;
-/// What a free function of all columns takes of the squared rest, from which on something is missing however
-/// small the rest is.
-constexpr double kStructured = 0.25;
 
 /// Rows, their noise and the model that it was taken from.
 struct Workshop {
@@ -103,209 +101,6 @@ void prepare_noise(Workshop& shop, const DriveModel& model, double false_alarm, 
       if (!model.steady && model.part(DriveTerm::TorqueLag).use != PartUse::Off)
         shop.options.lag_s = alignment_s(selector, rich, shop.data.sample_s);
     }
-  }
-}
-
-/// What each effect is a function of, if a free function of it could take its place.
-std::string_view variable_of_term(DriveTerm term) {
-  switch (term) {
-    case DriveTerm::Gravity:
-    case DriveTerm::LoadPosition:
-    case DriveTerm::FrictionPosition:
-      return "position";
-    case DriveTerm::QuadraticDrag:
-    case DriveTerm::FrictionShape:
-    case DriveTerm::FrictionPower:
-      return "velocity";
-    default:
-      return "";
-  }
-}
-
-bool is_effect(const Selection& selection, const Variant& part) {
-  return std::ranges::find(selection.base.parts, part) == selection.base.parts.end();
-}
-
-/// What is left is as little as the user asks for, or no more than noise.
-bool is_enough(const Remainder& rest, const DriveModel& model) {
-  return rest.share < model.good_enough || rest.is_noise();
-}
-
-/// Names that only approximate what a free function of their variable takes are withdrawn: that torque is on
-/// no list.
-void withdraw_approximations(Selector& selector, const Design& design, const DriveModel& model,
-                             Selection& selection, std::vector<std::string>& notices) {
-  constexpr double kTooMuch = 0.5, kLeast = 0.05;
-  for (const std::string_view variable : {"position", "velocity"}) {
-    std::vector<Variant> rest;
-    std::vector<std::string> names;
-    for (const Variant& part : selection.best.parts) {
-      if (is_effect(selection, part) && variable_of_term(part.term) == variable)
-        names.push_back(part.name);
-      else
-        rest.push_back(part);
-    }
-    if (names.empty()) continue;
-    TorqueModel smaller = selector.fitted(rest);
-    if (!smaller.ok()) continue;
-    const Eigen::VectorXd left = design.residuals(selection.best.fit);
-    const double share = free_function_share(design, left, variable_of(design, variable, model));
-    const double taken = design.residuals(smaller.fit).squaredNorm() - left.squaredNorm();
-    if (share < kLeast || share * left.squaredNorm() < kTooMuch * taken) continue;
-    notices.push_back(fmt::format("{} would explain less than what would still depend on {}",
-                                  fmt::join(names, ", "), variable));
-    selection.best = std::move(smaller);
-  }
-}
-
-/// Where much is left that is no noise, what fits it a little may only lean on it. A name stays if it takes
-/// more than is left, or, by itself, a good part of what the base model left; the weakest goes first.
-void withdraw_what_leans_on_the_rest(Selector& selector, const Design& design, const DriveModel& model,
-                                     Selection& selection, std::vector<std::string>& notices) {
-  constexpr double kDominant = 0.5, kLeaning = 0.7;
-  const auto square_left = [&](const TorqueModel& of) {
-    return std::pow(remainder_of(design, of, 0.0).left, 2);
-  };
-  const double base = square_left(selection.base);
-  while (selection.best.parts.size() > selection.base.parts.size()) {
-    const Remainder rest = remainder_of(design, selection.best, 0.0);
-    const double left = rest.left * rest.left;
-    const bool enough = is_enough(rest, model);
-    const double share = explainable_share(design, selection.best, model);
-    double least = !enough               ? kLeaning * (left - rest.noise * rest.noise)
-                   : share > kStructured ? share * left
-                                         : 0.0;
-    if (!(least > 0.0)) return;
-    const bool single = selection.best.parts.size() == selection.base.parts.size() + 1;
-    std::optional<TorqueModel> without_weakest;
-    std::string weakest;
-    for (std::size_t p = 0; p < selection.best.parts.size(); ++p) {
-      const Variant& part = selection.best.parts[p];
-      if (!is_effect(selection, part)) continue;
-      TorqueModel smaller = selector.without(selection.best, p);
-      if (!smaller.ok()) continue;
-      const double taken = square_left(smaller) - left;
-      if (single && taken > kDominant * base) continue;
-      if (taken < least) {
-        least = taken;
-        weakest = part.name;
-        without_weakest = std::move(smaller);
-      }
-    }
-    if (!without_weakest) return;
-    notices.push_back(fmt::format("{} would explain less than what would still be left", weakest));
-    selection.best = std::move(*without_weakest);
-  }
-}
-
-double inertia_of(const Selector& selector, const TorqueModel& model) {
-  for (const FittedTerm& term : selector.terms_of(model))
-    if (term.term == DriveTerm::Inertia && !term.coefficients.empty()) return term.coefficients.front();
-  return kNaN;
-}
-
-/// An effect that fits only by taking the inertia's torque for its own has said nothing of the drive. It goes
-/// where the inertia would be negative beside it, or, if much is left all the same, a small part of what it
-/// is without it. Returns its name.
-std::optional<std::string> withdraw_what_takes_the_inertia(Selector& selector, const Design& design,
-                                                           const DriveModel& model, Selection& selection,
-                                                           std::vector<std::string>& notices) {
-  constexpr double kSmallPart = 0.4;
-  if (selection.best.parts.size() <= selection.base.parts.size()) return std::nullopt;
-  const double inertia = inertia_of(selector, selection.best);
-  const bool enough = is_enough(remainder_of(design, selection.best, std::max(0.0, inertia)), model);
-  std::optional<TorqueModel> without_thief;
-  std::string thief;
-  double most = 0.0;
-  for (std::size_t p = 0; p < selection.best.parts.size(); ++p) {
-    const Variant& part = selection.best.parts[p];
-    if (!is_effect(selection, part)) continue;
-    TorqueModel smaller = selector.without(selection.best, p);
-    if (!smaller.ok()) continue;
-    const double before = inertia_of(selector, smaller);
-    if (!(before > most) || !(inertia < (enough ? 0.0 : kSmallPart * before))) continue;
-    most = before;
-    thief = part.name;
-    without_thief = std::move(smaller);
-  }
-  if (!without_thief) return std::nullopt;
-  notices.push_back(fmt::format("{} is no explanation: the inertia would be {:.0f} % of what it is without",
-                                thief, 100.0 * inertia / most));
-  selection.best = std::move(*without_thief);
-  return thief;
-}
-
-std::vector<Variant> effects_of(const Selection& selection) {
-  std::vector<Variant> effects;
-  for (const Variant& part : selection.best.parts)
-    if (is_effect(selection, part)) effects.push_back(part);
-  return effects;
-}
-
-/// Where the base model is nearly good enough, little is to be explained, and much that is on no list takes a
-/// form that some effect has in part. Names stay only if together they take half of it or more, noise apart.
-void withdraw_parts_of_little(const Design& design, const DriveModel& model, Selection& selection,
-                              std::vector<std::string>& notices) {
-  constexpr double kNearlyGoodEnough = 2.0, kHalf = 0.5;
-  if (selection.best.parts.size() <= selection.base.parts.size()) return;
-  const Remainder before = remainder_of(design, selection.base, 0.0);
-  if (!(before.share < kNearlyGoodEnough * model.good_enough)) return;
-  const Remainder after = remainder_of(design, selection.best, 0.0);
-  const double square = before.left * before.left, taken = square - after.left * after.left;
-  if (taken > kHalf * (square - after.noise * after.noise)) return;
-  std::vector<std::string> names;
-  for (const Variant& part : effects_of(selection)) names.push_back(part.name);
-  notices.push_back(
-      fmt::format("{} would explain {:.0f} % of the square of what the base model leaves, which is little, "
-                  "and looks like "
-                  "something else",
-                  fmt::join(names, ", "), 100.0 * taken / square));
-  selection.best = selection.base;
-}
-
-/// One sinusoid shows nothing of an effect but the harmonics of its torque, which others have as well. Names
-/// beside which more than a small part is left have not told which they are.
-void withdraw_guesses_of_one_sinusoid(const Design& design, const DriveRange& range, Selection& selection,
-                                      std::vector<std::string>& notices) {
-  constexpr double kNearlySinusoidal = 0.9, kSmallPart = 0.05;
-  if (range.sinusoidal < kNearlySinusoidal || selection.best.parts.size() <= selection.base.parts.size())
-    return;
-  const Remainder before = remainder_of(design, selection.base, 0.0),
-                  after = remainder_of(design, selection.best, 0.0);
-  const double noise = after.noise * after.noise;
-  const double left = (after.left * after.left - noise) / (before.left * before.left - noise);
-  if (after.is_noise() || !(left > kSmallPart)) return;
-  std::vector<std::string> names;
-  for (const Variant& part : effects_of(selection)) names.push_back(part.name);
-  notices.push_back(
-      fmt::format("beside {} {:.0f} % of the misfit's square would be left, and in a motion of one sinusoid "
-                  "other effects "
-                  "look alike: record another motion as well",
-                  fmt::join(names, ", "), 100.0 * left));
-  selection.best = selection.base;
-}
-
-/// The effects that the rows ask for. What turned out to be none of them is not tried again, and the search
-/// begins anew without it: it may have stood in the place of the right one.
-Selection select(Selector& selector, const Design& design, const DriveRange& range, const DriveModel& model,
-                 std::vector<std::string>& notices, const std::function<void(double)>& progress) {
-  constexpr int kMostSearches = 4;
-  for (int search = 1;; ++search) {
-    Selection selection = selector.run(progress);
-    if (!selection.base.ok()) return selection;
-    withdraw_approximations(selector, design, model, selection, notices);
-    std::optional<std::string> none =
-        withdraw_what_takes_the_inertia(selector, design, model, selection, notices);
-    if (!none) {
-      withdraw_what_leans_on_the_rest(selector, design, model, selection, notices);
-      none = withdraw_what_takes_the_inertia(selector, design, model, selection, notices);
-    }
-    if (!none || search == kMostSearches) {
-      withdraw_parts_of_little(design, model, selection, notices);
-      withdraw_guesses_of_one_sinusoid(design, range, selection, notices);
-      return selection;
-    }
-    selector.exclude(*none);
   }
 }
 
@@ -675,8 +470,8 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   DriveDiagnosis diagnosis;
   diagnosis.data = std::move(readings->findings);
   add_preparation(shop, model, diagnosis);
-  Selection selection = select(selector, design, shop.range, model, diagnosis.notices,
-                               [&](double share) { progress(0.4 + 0.5 * share, "effects"); });
+  Selection selection = selected_effects(selector, design, shop.range, model, diagnosis.notices,
+                                         [&](double share) { progress(0.4 + 0.5 * share, "effects"); });
   if (!selection.base.ok())
     return failure(fmt::format(
         "{}: the base model cannot be fitted: its parts are off, or the runs do not tell them apart; record "

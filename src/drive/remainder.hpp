@@ -9,6 +9,10 @@
 
 namespace clampd::drive {
 
+/// What a free function of all columns takes of the squared rest, from which on something is missing however
+/// small the rest is.
+inline constexpr double kStructured = 0.25;
+
 /// What a model leaves of the torque, judged by rows that it was not fitted to.
 struct Remainder {
   double variation = 0.0;  ///< root mean square of the torque about its mean

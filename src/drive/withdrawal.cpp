@@ -1,0 +1,241 @@
+#include "src/drive/withdrawal.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+#include <fmt/format.h>
+
+#include "clampd/base/nan.hpp"
+#include "src/drive/remainder.hpp"
+
+namespace clampd::drive {
+namespace {
+
+bool is_effect(const Selection& selection, const Variant& part) {
+  return std::ranges::find(selection.base.parts, part) == selection.base.parts.end();
+}
+
+/// What each effect is a function of, if a free function of it could take its place.
+std::string_view variable_of_term(DriveTerm term) {
+  switch (term) {
+    case DriveTerm::Gravity:
+    case DriveTerm::LoadPosition:
+    case DriveTerm::FrictionPosition:
+      return "position";
+    case DriveTerm::QuadraticDrag:
+    case DriveTerm::FrictionShape:
+    case DriveTerm::FrictionPower:
+      return "velocity";
+    default:
+      return "";
+  }
+}
+
+double inertia_of(const Selector& selector, const TorqueModel& model) {
+  for (const FittedTerm& term : selector.terms_of(model))
+    if (term.term == DriveTerm::Inertia && !term.coefficients.empty()) return term.coefficients.front();
+  return kNaN;
+}
+
+/// Takes names from a selection that fit in part only.
+class Withdrawal {
+ public:
+  Withdrawal(Selector& selector, const Design& design, const DriveRange& range, const DriveModel& model,
+             Selection& selection, std::vector<std::string>& notices)
+      : selector_(selector),
+        design_(design),
+        range_(range),
+        model_(model),
+        base_(selection.base),
+        selection_(selection),
+        best_(selection.best),
+        notices_(notices) {}
+
+  void approximations();
+  void what_leans_on_the_rest();
+  std::optional<std::string> what_takes_the_inertia();
+  void parts_of_little();
+  void guesses_of_one_sinusoid();
+
+ private:
+  bool has_effects() const { return best_.parts.size() > base_.parts.size(); }
+  Remainder left_by(const TorqueModel& model, double inertia = 0.0) const {
+    return remainder_of(design_, model, inertia);
+  }
+  double square_left_by(const TorqueModel& model) const { return std::pow(left_by(model).left, 2); }
+  /// As little as the user asks for, or no more than noise.
+  bool is_enough(const Remainder& rest) const { return rest.share < model_.good_enough || rest.is_noise(); }
+  std::string names() const {
+    std::vector<std::string> all;
+    for (const Variant& part : effects_of(selection_)) all.push_back(part.name);
+    return fmt::format("{}", fmt::join(all, ", "));
+  }
+
+  Selector& selector_;
+  const Design& design_;
+  const DriveRange& range_;
+  const DriveModel& model_;
+  const TorqueModel& base_;
+  const Selection& selection_;
+  TorqueModel& best_;
+  std::vector<std::string>& notices_;
+};
+
+/// Names that only approximate what a free function of their variable takes: that torque is on no list.
+void Withdrawal::approximations() {
+  constexpr double kTooMuch = 0.5, kLeast = 0.05;
+  for (const std::string_view variable : {"position", "velocity"}) {
+    std::vector<Variant> rest;
+    std::vector<std::string> names;
+    for (const Variant& part : best_.parts) {
+      if (is_effect(selection_, part) && variable_of_term(part.term) == variable)
+        names.push_back(part.name);
+      else
+        rest.push_back(part);
+    }
+    if (names.empty()) continue;
+    TorqueModel smaller = selector_.fitted(rest);
+    if (!smaller.ok()) continue;
+    const Eigen::VectorXd left = design_.residuals(best_.fit);
+    const double share = free_function_share(design_, left, variable_of(design_, variable, model_));
+    const double taken = design_.residuals(smaller.fit).squaredNorm() - left.squaredNorm();
+    if (share < kLeast || share * left.squaredNorm() < kTooMuch * taken) continue;
+    notices_.push_back(fmt::format("{} would explain less than what would still depend on {}",
+                                   fmt::join(names, ", "), variable));
+    best_ = std::move(smaller);
+  }
+}
+
+/// Where much is left that is no noise, what fits it a little may only lean on it. A name stays if it takes
+/// more than is left, or, by itself, a good part of what the base model left; the weakest goes first.
+void Withdrawal::what_leans_on_the_rest() {
+  constexpr double kDominant = 0.5, kLeaning = 0.7;
+  const double base = square_left_by(base_);
+  while (has_effects()) {
+    const Remainder rest = left_by(best_);
+    const double left = rest.left * rest.left;
+    const double share = explainable_share(design_, best_, model_);
+    double least = !is_enough(rest)      ? kLeaning * (left - rest.noise * rest.noise)
+                   : share > kStructured ? share * left
+                                         : 0.0;
+    if (!(least > 0.0)) return;
+    const bool single = best_.parts.size() == base_.parts.size() + 1;
+    std::optional<TorqueModel> without_weakest;
+    std::string weakest;
+    for (std::size_t p = 0; p < best_.parts.size(); ++p) {
+      const Variant& part = best_.parts[p];
+      if (!is_effect(selection_, part)) continue;
+      TorqueModel smaller = selector_.without(best_, p);
+      if (!smaller.ok()) continue;
+      const double taken = square_left_by(smaller) - left;
+      if (single && taken > kDominant * base) continue;
+      if (taken < least) {
+        least = taken;
+        weakest = part.name;
+        without_weakest = std::move(smaller);
+      }
+    }
+    if (!without_weakest) return;
+    notices_.push_back(fmt::format("{} would explain less than what would still be left", weakest));
+    best_ = std::move(*without_weakest);
+  }
+}
+
+/// An effect that fits only by taking the inertia's torque for its own has said nothing of the drive. It goes
+/// where the inertia would be negative beside it, or, if much is left all the same, a small part of what it
+/// is without it. Returns its name.
+std::optional<std::string> Withdrawal::what_takes_the_inertia() {
+  constexpr double kSmallPart = 0.4;
+  if (!has_effects()) return std::nullopt;
+  const double inertia = inertia_of(selector_, best_);
+  const bool enough = is_enough(left_by(best_, std::max(0.0, inertia)));
+  std::optional<TorqueModel> without_thief;
+  std::string thief;
+  double most = 0.0;
+  for (std::size_t p = 0; p < best_.parts.size(); ++p) {
+    const Variant& part = best_.parts[p];
+    if (!is_effect(selection_, part)) continue;
+    TorqueModel smaller = selector_.without(best_, p);
+    if (!smaller.ok()) continue;
+    const double before = inertia_of(selector_, smaller);
+    if (!(before > most) || !(inertia < (enough ? 0.0 : kSmallPart * before))) continue;
+    most = before;
+    thief = part.name;
+    without_thief = std::move(smaller);
+  }
+  if (!without_thief) return std::nullopt;
+  notices_.push_back(fmt::format("{} is no explanation: the inertia would be {:.0f} % of what it is without",
+                                 thief, 100.0 * inertia / most));
+  best_ = std::move(*without_thief);
+  return thief;
+}
+
+/// Where the base model is nearly good enough, little is to be explained, and much that is on no list takes a
+/// form that some effect has in part. Names stay only if together they take half of it or more, noise apart.
+void Withdrawal::parts_of_little() {
+  constexpr double kNearlyGoodEnough = 2.0, kHalf = 0.5;
+  if (!has_effects()) return;
+  const Remainder before = left_by(base_);
+  if (!(before.share < kNearlyGoodEnough * model_.good_enough)) return;
+  const Remainder after = left_by(best_);
+  const double square = before.left * before.left, taken = square - after.left * after.left;
+  if (taken > kHalf * (square - after.noise * after.noise)) return;
+  notices_.push_back(
+      fmt::format("{} would explain {:.0f} % of the square of what the base model leaves, which is little, "
+                  "and looks like "
+                  "something else",
+                  names(), 100.0 * taken / square));
+  best_ = base_;
+}
+
+/// One sinusoid shows nothing of an effect but the harmonics of its torque, which others have as well. Names
+/// beside which more than a small part is left have not told which they are.
+void Withdrawal::guesses_of_one_sinusoid() {
+  constexpr double kNearlySinusoidal = 0.9, kSmallPart = 0.05;
+  if (range_.sinusoidal < kNearlySinusoidal || !has_effects()) return;
+  const Remainder before = left_by(base_), after = left_by(best_);
+  const double noise = after.noise * after.noise;
+  const double left = (after.left * after.left - noise) / (before.left * before.left - noise);
+  if (after.is_noise() || !(left > kSmallPart)) return;
+  notices_.push_back(
+      fmt::format("beside {} {:.0f} % of the misfit's square would be left, and in a motion of one sinusoid "
+                  "other effects "
+                  "look alike: record another motion as well",
+                  names(), 100.0 * left));
+  best_ = base_;
+}
+
+}  // namespace
+
+std::vector<Variant> effects_of(const Selection& selection) {
+  std::vector<Variant> effects;
+  for (const Variant& part : selection.best.parts)
+    if (is_effect(selection, part)) effects.push_back(part);
+  return effects;
+}
+
+Selection selected_effects(Selector& selector, const Design& design, const DriveRange& range,
+                           const DriveModel& model, std::vector<std::string>& notices,
+                           const std::function<void(double)>& progress) {
+  constexpr int kMostSearches = 4;
+  for (int search = 1;; ++search) {
+    Selection selection = selector.run(progress);
+    if (!selection.base.ok()) return selection;
+    Withdrawal withdraw(selector, design, range, model, selection, notices);
+    withdraw.approximations();
+    std::optional<std::string> none = withdraw.what_takes_the_inertia();
+    if (!none) {
+      withdraw.what_leans_on_the_rest();
+      none = withdraw.what_takes_the_inertia();
+    }
+    if (!none || search == kMostSearches) {
+      withdraw.parts_of_little();
+      withdraw.guesses_of_one_sinusoid();
+      return selection;
+    }
+    selector.exclude(*none);
+  }
+}
+
+}  // namespace clampd::drive
