@@ -35,6 +35,13 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     columns.torque = {"current", 2.5};
     columns.position = ColumnSource{"count", 7.67e-4, 8192.0};
     if (data[0] % 4 == 3) columns.velocity = ColumnSource{"speed", -1.0};
+    if (data[0] % 8 > 4) columns.position->late_s = data[0] % 16 > 8 ? 2.5e-3 : -2.5e-3;
+    if (const auto header = find_header(text, "input.csv")) {
+      CLAMPD_ASSERT(header->names.size() >= 3 && header->skip_lines >= 0);
+      columns.skip_lines = header->skip_lines;
+    } else {
+      CLAMPD_ASSERT(header.error().message.starts_with("input.csv"));
+    }
     loaded = parse_run(text, "input.csv", columns);
   }
   if (!loaded) {
