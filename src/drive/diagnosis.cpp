@@ -295,6 +295,25 @@ void add_preparation(const Workshop& shop, const DriveModel& model, Diagnosis& d
                      shop.options.lag_s > 0.0 ? "after" : "before")});
 }
 
+FittedDrive fitted_drive(const Workshop& shop, const TorqueModel& best, const Selector& selector,
+                         const Estimate& estimate, const DriveModel& model) {
+  const Actuation actuation = selector.actuation_of(best.parts);
+  FittedDrive fitted{model,
+                     selector.terms_of(best),
+                     estimate.covariance(),
+                     actuation.lag_s,
+                     actuation.settling_s,
+                     shop.data.cut_off_Hz,
+                     shop.data.slow_speed,
+                     kNaN};
+  // Known values are certain.
+  Eigen::Index coefficients = 0;
+  for (const FittedTerm& term : fitted.terms)
+    coefficients += static_cast<Eigen::Index>(term.coefficients.size());
+  fitted.covariance.conservativeResizeLike(Eigen::MatrixXd::Zero(coefficients, coefficients));
+  return fitted;
+}
+
 /// Parameters, named effects and the model that is saved. Returns the effects in words.
 std::vector<std::string> add_model(const Workshop& shop, const Selection& selection, Selector& selector,
                                    const DriveModel& model, std::span<const Run> runs,
@@ -315,19 +334,7 @@ std::vector<std::string> add_model(const Workshop& shop, const Selection& select
   if (model.steady && model.part(DriveTerm::Cogging).use == PartUse::Candidate)
     add_steady_ripple(steady_ripple(runs, model, selection.alarm_nats), model, selection.candidates,
                       diagnosis, words);
-  diagnosis.fitted = {model,
-                      selector.terms_of(selection.best),
-                      after.covariance(),
-                      selector.actuation_of(selection.best.parts).lag_s,
-                      selector.actuation_of(selection.best.parts).settling_s,
-                      shop.data.cut_off_Hz,
-                      shop.data.slow_speed,
-                      kNaN};
-  // Known values are certain.
-  Eigen::Index coefficients = 0;
-  for (const FittedTerm& term : diagnosis.fitted.terms)
-    coefficients += static_cast<Eigen::Index>(term.coefficients.size());
-  diagnosis.fitted.covariance.conservativeResizeLike(Eigen::MatrixXd::Zero(coefficients, coefficients));
+  diagnosis.fitted = fitted_drive(shop, selection.best, selector, after, model);
   return words;
 }
 
@@ -440,11 +447,9 @@ void add_gain(const Workshop& shop, const Selection& selection, const Rests& res
   diagnosis.gain = std::move(gain);
 }
 
-}  // namespace
-
-Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model,
-                                      const DiagnoseOptions& options) {
-  const auto started = std::chrono::steady_clock::now();
+/// Readings, checked and made into rows with their noise. The design refers to the data beside it.
+Result<void> furnish(Workshop& shop, std::span<const Run> runs, const DriveModel& model,
+                     const DiagnoseOptions& options, DriveDiagnosis& diagnosis) {
   const auto progress = [&](double share, const char* what) {
     if (options.progress) options.progress(share, what);
   };
@@ -455,7 +460,6 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   Result<DriveData> data = prepare(readings->runs, runs.size(), model);
   if (!data) return tl::unexpected(data.error());
   readings->runs.clear();
-  Workshop shop;
   shop.data = std::move(*data);
   for (std::size_t c = 0; c < model.regressors.size(); ++c)
     if (model.regressors[c].use == PartUse::Estimate && is_constant(shop.data, c))
@@ -465,10 +469,24 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
           model.file, model.regressors[c].name));
   progress(0.3, "noise");
   prepare_noise(shop, model, options.false_alarm, std::max(options.most_effects, 6));
+  diagnosis.data = std::move(readings->findings);
+  return {};
+}
+
+}  // namespace
+
+Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model,
+                                      const DiagnoseOptions& options) {
+  const auto started = std::chrono::steady_clock::now();
+  const auto progress = [&](double share, const char* what) {
+    if (options.progress) options.progress(share, what);
+  };
+  DriveDiagnosis diagnosis;
+  Workshop shop;
+  if (const Result<void> furnished = furnish(shop, runs, model, options, diagnosis); !furnished)
+    return tl::unexpected(furnished.error());
   Design& design = *shop.design;
   Selector selector(design, shop.range, model, shop.options);
-  DriveDiagnosis diagnosis;
-  diagnosis.data = std::move(readings->findings);
   add_preparation(shop, model, diagnosis);
   Selection selection = selected_effects(selector, design, shop.range, model, diagnosis.notices,
                                          [&](double share) { progress(0.4 + 0.5 * share, "effects"); });
@@ -501,6 +519,48 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   diagnosis.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
   progress(1.0, "done");
   return diagnosis;
+}
+
+Result<DriveIdentification> identify_drive(std::span<const Run> runs, const FittedDrive& saved) {
+  const DriveModel& model = saved.model;
+  if (const std::vector<std::string> names = terms_of_runs(saved); !names.empty())
+    return failure(
+        fmt::format("{}: {} differs from run to run of the fit, so that other runs have nothing of it; "
+                    "`clampctl diagnose` looks at them anew",
+                    model.file, fmt::join(names, ", ")));
+  DriveDiagnosis diagnosis;
+  Workshop shop;
+  if (const Result<void> furnished = furnish(shop, runs, model, {}, diagnosis); !furnished)
+    return tl::unexpected(furnished.error());
+  shop.options.lag_s = 0.0;  // the saved model has its own
+  Selector selector(*shop.design, shop.range, model, shop.options);
+  const TorqueModel refitted = selector.refitted(saved);
+  if (!refitted.ok())
+    return failure(
+        fmt::format("{}: these runs do not tell the terms of the model apart: record motion like that "
+                    "of the fit, in both directions and at several speeds",
+                    model.file));
+  add_preparation(shop, model, diagnosis);
+  const Estimate estimate(*shop.design, refitted, model);
+  DriveIdentification result;
+  result.parameters = estimate.base_parameters();
+  for (const Variant& part : refitted.parts)
+    for (EstimatedParameter& parameter : estimate.effect_parameters(part)) {
+      parameter.name = fmt::format("{}.{}", part.name, parameter.name);
+      result.parameters.push_back(std::move(parameter));
+    }
+  const Remainder rest = remainder_of(*shop.design, refitted, inertia_in(result.parameters));
+  if (!std::isfinite(rest.share))
+    return failure(fmt::format("{}: the {} does not change in the runs, so that nothing can be told of it",
+                               model.name, model.effort()));
+  result.share_left = rest.share;
+  result.share_explainable = explainable_share(*shop.design, refitted, model);
+  result.is_enough = rest.share < model.good_enough || rest.is_noise();
+  result.data = std::move(diagnosis.data);
+  result.notices = std::move(diagnosis.notices);
+  result.fitted = fitted_drive(shop, refitted, selector, estimate, model);
+  result.fitted.error_rms = rest.left;
+  return result;
 }
 
 }  // namespace clampd

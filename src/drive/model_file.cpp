@@ -292,4 +292,8 @@ Result<DriveModel> read_drive_model(const std::string& path) {
   return read_file(path).and_then([&](const std::string& text) { return parse_drive_model(text, path); });
 }
 
+bool is_drive_model(const std::string& text) {
+  return text.starts_with("[drive]") || text.find("\n[drive]") != std::string::npos;
+}
+
 }  // namespace clampd

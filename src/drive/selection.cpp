@@ -251,6 +251,37 @@ TorqueModel Selector::without(const TorqueModel& model, std::size_t part) {
   return fitted(std::move(parts));
 }
 
+TorqueModel Selector::refitted(const FittedDrive& saved) {
+  const auto is_fitted = [&](DriveTerm term) {
+    return std::ranges::find(saved.terms, term, &FittedTerm::term) != saved.terms.end();
+  };
+  std::vector<Variant> parts;
+  const FittedTerm* by_load = nullptr;
+  for (const FittedTerm& term : saved.terms) {
+    if (model_.part(term.term).use == PartUse::Fixed) continue;
+    const BasisFunction::Factor factor = term.functions.front().factor;
+    if (factor == BasisFunction::Factor::Load || factor == BasisFunction::Factor::StaticLoad) {
+      by_load = &term;
+      continue;
+    }
+    Variant part{term.term, term.name, term.functions};
+    if (term.term == DriveTerm::TorqueSaturation) part.saturation = term.coefficients.front();
+    part.replaces_viscous = term.term == DriveTerm::FrictionPower && !is_fitted(DriveTerm::Viscous);
+    parts.push_back(std::move(part));
+  }
+  if (saved.lag_s != 0.0 || saved.settling_s != 0.0) {
+    Variant lag{DriveTerm::TorqueLag, std::string(name_of(DriveTerm::TorqueLag)), {}};
+    lag.lag_s = saved.lag_s;
+    lag.settling_s = saved.settling_s;
+    parts.push_back(std::move(lag));
+  }
+  TorqueModel model = fitted(std::move(parts));
+  if (!model.ok() || by_load == nullptr) return model;
+  for (const Variant& variant : load_candidates(model))
+    if (variant.functions == by_load->functions) return refined(with(model, variant), by_load->term);
+  return {};
+}
+
 std::vector<Variant> Selector::ripple_candidates(const TorqueModel& model) {
   if (model_.part(DriveTerm::Cogging).use != PartUse::Candidate) return {};
   return ripples_in(design_, design_.residuals(model.fit), range_, model_, model.part(DriveTerm::Cogging),

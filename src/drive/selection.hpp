@@ -67,6 +67,8 @@ class Selector {
 
   TorqueModel fitted(std::vector<Variant> parts);
   TorqueModel without(const TorqueModel& model, std::size_t part);
+  /// The terms of a saved model, with the shapes that they have there, fitted to these rows.
+  TorqueModel refitted(const FittedDrive& saved);
   std::vector<FittedTerm> terms_of(const TorqueModel& model) const;
   Actuation actuation_of(const std::vector<Variant>& parts) const;
   /// Nats by which the larger model's likelihood exceeds the other's.

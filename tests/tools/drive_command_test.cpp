@@ -325,6 +325,46 @@ TEST_F(DriveCommands, ALinearDriveHasForcesAndNoTorques) {
   }
 }
 
+TEST_F(DriveCommands, ASavedModelIsIdentifiedAnewOnOtherRuns) {
+  drive_test::RecordedDrive truth = drive(4);
+  folder_.write("model.toml", kModel);
+  const auto rippled = [](DriveRun run, double amplitude) {
+    for (std::size_t k = 0; k < run.size(); ++k)
+      run.torque_Nm[k] += amplitude * std::sin(8.0 * run.position_rad[k]);
+    return file_of(run);
+  };
+  folder_.write("first.csv", rippled(drive_test::record(truth, 1), 0.02));
+  folder_.write("second.csv", rippled(drive_test::record(truth, 2), 0.01));
+  const Outcome saved = clampctl("diagnose first.csv --model model.toml --save saved.toml");
+  ASSERT_THAT(saved.output, HasSubstr("cogging")) << saved.output;
+  const Outcome outcome =
+      clampctl("identify second.csv --model saved.toml --json out.json --save again.toml");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("cogging.amplitude-1"));
+  const auto document = nlohmann::json::parse(folder_.read("out.json"));
+  EXPECT_EQ(document.at("schema"), "clampd.identify-drive/1");
+  EXPECT_TRUE(document.at("enough"));
+  for (const auto& [name, value] : {std::pair{"cogging.amplitude-1", 0.01},
+                                    std::pair{"coulomb", truth.coulomb * truth.inertia * truth.length},
+                                    std::pair{"inertia", truth.inertia}}) {
+    bool found = false;
+    for (const auto& each : document.at("parameters"))
+      if (each.at("name") == name) {
+        found = true;
+        EXPECT_NEAR(each.at("value").get<double>(), value, 5.0 * each.at("sd").get<double>()) << name;
+        EXPECT_LT(each.at("sd").get<double>(), 0.1 * value) << name;
+      }
+    EXPECT_TRUE(found) << name;
+  }
+  EXPECT_EQ(clampctl("predict second.csv --model again.toml").exit_code, 0);
+
+  for (const char* wrong : {"--model saved.toml --method oem", "--model saved.toml --save second.csv",
+                            "--model model.toml", "--save x.toml"}) {
+    const Outcome refused = clampctl(std::string("identify second.csv ") + wrong);
+    EXPECT_EQ(refused.exit_code, 2) << wrong << refused.output;
+  }
+}
+
 TEST_F(DriveCommands, ANewModelFileIsOneThatADiagnosisReads) {
   const DriveRun run = drive_test::record(drive(4), 1);
   folder_.write("run.csv", format_run(run));

@@ -8,14 +8,17 @@
 #include "clampd/archive/json.hpp"
 #include "clampd/base/json.hpp"
 #include "clampd/brake/extended_brake.hpp"
+#include "clampd/drive/model.hpp"
 #include "clampd/identify/extended_identification.hpp"
 #include "clampd/identify/profile.hpp"
 #include "clampd/identify/systematic_misfit.hpp"
+#include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
 #include "clampd/sheet/evaluation.hpp"
 #include "clampd/station/verdict.hpp"
 #include "clampd/views/check_table.hpp"
 #include "tools/clampctl/command.hpp"
+#include "tools/clampctl/identify_drive.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 
@@ -33,6 +36,7 @@ struct IdentifyOptions {
   bool robust = false;
   std::string sheet_file;
   std::string json;
+  std::string save;
   EstimatorOptions estimator;
   std::optional<ExtendedParameters> extended;  ///< of the model file
   std::optional<Sheet> sheet;                  ///< of the sheet file
@@ -341,9 +345,10 @@ void add_identify_command(CLI::App& app, int& exit_code) {
                    "start values and fixed J, N (default: the paper's Table I)")
       ->type_name("FILE.toml");
   command
-      ->add_option("--model", options->model,
-                   "estimate the effects of this model too, as `clampctl diagnose --save` writes it; by the "
-                   "prediction error method, from the model's own values")
+      ->add_option(
+          "--model", options->model,
+          "estimate the effects of this model too, as `clampctl diagnose --save` writes it: of a brake "
+          "by the prediction error method, from the model's own values; of a drive all of its terms")
       ->type_name("MODEL.toml");
   command->add_option("--hold", options->held, "parameters that stay at their start value")
       ->type_name("NAME");
@@ -369,9 +374,26 @@ void add_identify_command(CLI::App& app, int& exit_code) {
       ->type_name("SHEET.toml");
   command->add_option("--json", options->json, "write the result as clampd.identify/1; - for standard output")
       ->type_name("FILE");
+  command->add_option("--save", options->save, "of a drive: the model with what these runs say")
+      ->type_name("FITTED.toml");
   for (const char* other : {"--parameters", "--profile", "--robust", "--sheet"})
     command->get_option("--model")->excludes(command->get_option(other));
   command->callback([options, command, &exit_code] {
+    if (const Result<std::string> text = read_file(options->model); text && is_drive_model(*text)) {
+      for (const char* of_brakes :
+           {"--method", "--hold", "--noise-force", "--noise-velocity", "--noise-torque"})
+        if (command->count(of_brakes) > 0) {
+          exit_code = cli::refuse(Error{fmt::format(
+              "{} is a model of a drive, and {} is of brakes: leave it out", options->model, of_brakes)});
+          return;
+        }
+      exit_code = identify_drive_files({options->files, options->model, options->json, options->save});
+      return;
+    }
+    if (!options->save.empty()) {
+      exit_code = cli::refuse(Error{"--save is of drives: give --model with a saved model of one"});
+      return;
+    }
     if (!options->model.empty() && command->count("--method") > 0 &&
         options->method == to_string(Method::OutputError)) {
       exit_code = cli::refuse(

@@ -41,11 +41,6 @@ Result<void> check_outputs(const PredictCommand& command) {
   return command.report.empty() ? Result<void>{} : report::can_draw();
 }
 
-/// A model file of a drive says so in a section of its own.
-bool is_of_drive(const std::string& text) {
-  return text.starts_with("[drive]") || text.find("\n[drive]") != std::string::npos;
-}
-
 Result<std::vector<Run>> read_all(const PredictCommand& command, const DriveModel* drive) {
   std::vector<Run> runs;
   std::vector<std::string> said;
@@ -86,7 +81,7 @@ Result<std::vector<PredictedRun>> predict_drives(const PredictCommand& command, 
 Result<std::vector<PredictedRun>> predict(const PredictCommand& command) {
   const Result<std::string> text = read_file(command.model);
   if (!text) return tl::unexpected(text.error());
-  if (is_of_drive(*text)) {
+  if (is_drive_model(*text)) {
     const Result<FittedDrive> drive = parse_fitted_drive(*text, command.model);
     if (!drive) return tl::unexpected(drive.error());
     return predict_drives(command, *drive);

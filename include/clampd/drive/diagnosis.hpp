@@ -26,4 +26,22 @@ struct DriveDiagnosis : Diagnosis {
 Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveModel& model,
                                       const DiagnoseOptions& options);
 
+/// Parameters of a drive whose model is known.
+struct DriveIdentification {
+  std::vector<EstimatedParameter> parameters;  ///< of the base model, then "effect.parameter"
+  double share_left = 0.0;         ///< of the torque's variation, rms over rms, on rows that were not fitted
+  double share_explainable = 0.0;  ///< of that, squared, what any function of the columns would take; or NaN
+  bool is_enough = false;          ///< no more is left than noise, or than what is called good enough
+  std::vector<DataFinding> data;
+  std::vector<std::string> notices;
+  FittedDrive fitted;
+};
+
+/// Fits the terms of a saved model, with the shapes (speeds, lengths, powers, delays) that they have there,
+/// to other runs of the same drive or of another of its kind. Nothing is searched for.
+///
+/// Errors: as of diagnose_drive(); a term that is of the runs of the fit, as friction that drifted from run
+/// to run; runs that do not tell the terms apart.
+Result<DriveIdentification> identify_drive(std::span<const Run> runs, const FittedDrive& saved);
+
 }  // namespace clampd

@@ -204,6 +204,9 @@ std::vector<double> settled(std::span<const double> time_s, std::span<const doub
 /// load friction and saturation, with which it still grows with it.
 double torque_of(const FittedDrive& drive, const DriveState& state);
 
+/// Whether a model file is that of a drive, which says so in a section of its own, and not of a brake.
+bool is_drive_model(const std::string& text);
+
 /// Reads a model file; docs/drives.md lists all keys. Errors name file, line, column and key.
 Result<DriveModel> read_drive_model(const std::string& path);
 Result<DriveModel> parse_drive_model(const std::string& text, const std::string& path);
