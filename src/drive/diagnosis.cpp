@@ -320,12 +320,7 @@ std::vector<std::string> add_model(const Workshop& shop, const Selection& select
                                    DriveDiagnosis& diagnosis) {
   const Estimate before(*shop.design, selection.base, model), after(*shop.design, selection.best, model);
   diagnosis.parameters_before = before.base_parameters();
-  diagnosis.parameters_after = after.base_parameters();
-  for (const Variant& part : selection.base.parts)
-    for (EstimatedParameter& parameter : after.effect_parameters(part)) {
-      parameter.name = fmt::format("{}.{}", part.name, parameter.name);
-      diagnosis.parameters_after.push_back(std::move(parameter));
-    }
+  diagnosis.parameters_after = after.base_parameters_with(selection.base.parts);
   std::vector<std::string> words;
   for (const Variant& effect : effects_of(selection)) {
     diagnosis.effects.push_back(named(effect, selection, selector, after, model.effort()));
@@ -543,19 +538,14 @@ Result<DriveIdentification> identify_drive(std::span<const Run> runs, const Fitt
   add_preparation(shop, model, diagnosis);
   const Estimate estimate(*shop.design, refitted, model);
   DriveIdentification result;
-  result.parameters = estimate.base_parameters();
-  for (const Variant& part : refitted.parts)
-    for (EstimatedParameter& parameter : estimate.effect_parameters(part)) {
-      parameter.name = fmt::format("{}.{}", part.name, parameter.name);
-      result.parameters.push_back(std::move(parameter));
-    }
+  result.parameters = estimate.base_parameters_with(refitted.parts);
   const Remainder rest = remainder_of(*shop.design, refitted, inertia_in(result.parameters));
   if (!std::isfinite(rest.share))
     return failure(fmt::format("{}: the {} does not change in the runs, so that nothing can be told of it",
                                model.name, model.effort()));
   result.share_left = rest.share;
   result.share_explainable = explainable_share(*shop.design, refitted, model);
-  result.is_enough = rest.share < model.good_enough || rest.is_noise();
+  result.is_enough = rest.is_enough(model.good_enough);
   result.data = std::move(diagnosis.data);
   result.notices = std::move(diagnosis.notices);
   result.fitted = fitted_drive(shop, refitted, selector, estimate, model);

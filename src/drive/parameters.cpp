@@ -45,6 +45,16 @@ std::vector<EstimatedParameter> Estimate::base_parameters() const {
   return parameters;
 }
 
+std::vector<EstimatedParameter> Estimate::base_parameters_with(const std::vector<Variant>& parts) const {
+  std::vector<EstimatedParameter> parameters = base_parameters();
+  for (const Variant& part : parts)
+    for (EstimatedParameter& parameter : effect_parameters(part)) {
+      parameter.name = fmt::format("{}.{}", part.name, parameter.name);
+      parameters.push_back(std::move(parameter));
+    }
+  return parameters;
+}
+
 /// Root mean square over owners (runs) of the length of pairs of coefficients.
 EstimatedParameter Estimate::amplitude(std::string name, Eigen::Index first, Eigen::Index count,
                                        Eigen::Index stride, Eigen::Index owners) const {

@@ -36,6 +36,8 @@ class Estimate {
 
   /// Inertia, viscous and Coulomb friction, as far as the drive's model has them.
   std::vector<EstimatedParameter> base_parameters() const;
+  /// And those of these parts, as "PART.PARAMETER".
+  std::vector<EstimatedParameter> base_parameters_with(const std::vector<Variant>& parts) const;
   std::vector<EstimatedParameter> effect_parameters(const Variant& variant) const;
   const Eigen::MatrixXd& covariance() const { return covariance_; }
   /// First coefficient of the term; -1: it has none.

@@ -3,8 +3,10 @@
 #include <cctype>
 #include <cmath>
 #include <optional>
+#include <sstream>
 
 #include <fmt/format.h>
+#include <toml++/toml.h>
 
 #include "clampd/drive/model.hpp"
 #include "clampd/record/file.hpp"
@@ -162,18 +164,10 @@ const Column* best(const std::vector<Column>& columns, Quantity quantity) {
   return found;
 }
 
-std::string in_quotes(std::string_view text) {
-  std::string result = "\"";
-  for (const char c : text) {
-    const auto code = static_cast<unsigned char>(c);
-    if (code < 0x20 || code == 0x7f) {
-      result += fmt::format("\\u{:04X}", code);
-      continue;
-    }
-    if (c == '"' || c == '\\') result += '\\';
-    result += c;
-  }
-  return result + '"';
+std::string in_quotes(const std::string& text) {
+  std::ostringstream quoted;
+  quoted << toml::toml_formatter{toml::value<std::string>(text), toml::format_flags::none};
+  return quoted.str();
 }
 
 std::string line_of(std::string_view key, const Column& column) {

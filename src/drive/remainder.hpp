@@ -24,6 +24,8 @@ struct Remainder {
   double explainable =
       0.0;  ///< share of the square that a function of all columns takes where it was not fitted
   bool is_noise() const;
+  /// As little as the user asks for, or no more than noise.
+  bool is_enough(double good_enough) const { return share < good_enough || is_noise(); }
 };
 Remainder remainder_of(const Design& design, const TorqueModel& model, double inertia);
 

@@ -136,23 +136,6 @@ std::vector<Variant> regressors(const DriveData& data, const DriveModel& model) 
   return all;
 }
 
-}  // namespace
-
-bool is_constant(const DriveData& data, std::size_t regressor) {
-  constexpr double kRounding = 1e-9;
-  double lowest = std::numeric_limits<double>::infinity(), highest = -lowest;
-  for (const DriveRows& run : data.runs) {
-    if (run.heldout) continue;
-    for (const double value : run.motion.columns[regressor]) {
-      lowest = std::min(lowest, value);
-      highest = std::max(highest, value);
-    }
-  }
-  return highest - lowest <= kRounding * std::max(std::abs(lowest), std::abs(highest));
-}
-
-namespace {
-
 /// Squared correlation of position and acceleration, about each run's means.
 double sinusoidal(const DriveData& data) {
   double product = 0.0, position = 0.0, acceleration = 0.0;
@@ -168,6 +151,19 @@ double sinusoidal(const DriveData& data) {
 }
 
 }  // namespace
+
+bool is_constant(const DriveData& data, std::size_t regressor) {
+  constexpr double kRounding = 1e-9;
+  double lowest = std::numeric_limits<double>::infinity(), highest = -lowest;
+  for (const DriveRows& run : data.runs) {
+    if (run.heldout) continue;
+    for (const double value : run.motion.columns[regressor]) {
+      lowest = std::min(lowest, value);
+      highest = std::max(highest, value);
+    }
+  }
+  return highest - lowest <= kRounding * std::max(std::abs(lowest), std::abs(highest));
+}
 
 DriveRange range_of(const DriveData& data) {
   DriveRange range;

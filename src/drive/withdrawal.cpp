@@ -64,8 +64,6 @@ class Withdrawal {
     return remainder_of(design_, model, inertia);
   }
   double square_left_by(const TorqueModel& model) const { return std::pow(left_by(model).left, 2); }
-  /// As little as the user asks for, or no more than noise.
-  bool is_enough(const Remainder& rest) const { return rest.share < model_.good_enough || rest.is_noise(); }
   std::string names() const {
     std::vector<std::string> all;
     for (const Variant& part : effects_of(selection_)) all.push_back(part.name);
@@ -115,10 +113,11 @@ void Withdrawal::what_leans_on_the_rest() {
   while (has_effects()) {
     const Remainder rest = left_by(best_);
     const double left = rest.left * rest.left;
-    const double share = explainable_share(design_, best_, model_);
-    double least = !is_enough(rest)      ? kLeaning * (left - rest.noise * rest.noise)
-                   : share > kStructured ? share * left
-                                         : 0.0;
+    double least = kLeaning * (left - rest.noise * rest.noise);
+    if (rest.is_enough(model_.good_enough)) {
+      const double share = explainable_share(design_, best_, model_);
+      least = share > kStructured ? share * left : 0.0;
+    }
     if (!(least > 0.0)) return;
     const bool single = best_.parts.size() == base_.parts.size() + 1;
     std::optional<TorqueModel> without_weakest;
@@ -149,7 +148,7 @@ std::optional<std::string> Withdrawal::what_takes_the_inertia() {
   constexpr double kSmallPart = 0.4;
   if (!has_effects()) return std::nullopt;
   const double inertia = inertia_of(selector_, best_);
-  const bool enough = is_enough(left_by(best_, std::max(0.0, inertia)));
+  const bool enough = left_by(best_, std::max(0.0, inertia)).is_enough(model_.good_enough);
   std::optional<TorqueModel> without_thief;
   std::string thief;
   double most = 0.0;

@@ -7,39 +7,23 @@
 #include "clampd/base/clock.hpp"
 #include "clampd/brake/integrator.hpp"
 #include "clampd/control/control_law.hpp"
+#include "clampd/experiment/known_brake.hpp"
 #include "clampd/experiment/reference.hpp"
 
 namespace clampd {
-
-namespace {
-
-StiffnessCurve true_curve(const PaperBrake& brake) {
-  return {brake.stiffness().cubic_N_rad3, brake.stiffness().quadratic_N_rad2};
-}
-
-}  // namespace
 
 ClosedLoop::ClosedLoop(const BrakeParameters& nominal, double torque_limit_Nm)
     : drive_(nominal_drive(nominal)), torque_limit_Nm_(torque_limit_Nm) {}
 
 double ClosedLoop::torque_Nm(const ReferenceRow& row, const ReferenceRow& next, const PaperBrake& brake,
                              const BrakeState& state) const {
-  const double force_N = brake.stiffness().force_N(state[0]);
-  const double speed_rad_s = std::abs(state[1]);
-  // The observer takes the viscous friction for nominal: what is more counts as excess like the rest.
-  const double nominal_Nm =
-      drive_.dry_friction_Nm(speed_rad_s, force_N) + drive_.viscous_Nm_s_rad * speed_rad_s;
-  const MotionState motion{
-      .position_rad = state[0],
-      .velocity_rad_s = state[1],
-      .friction_excess_Nm = brake.friction().sliding_Nm(force_N, speed_rad_s, 1.0) - nominal_Nm};
-  return tracking_torque_Nm(row, next, drive_, motion, true_curve(brake));
+  return tracking_torque_Nm(row, next, drive_, known_motion(brake, state, drive_), known_stiffness(brake));
 }
 
 bool ClosedLoop::simulate(const Reference& reference, const PaperBrake& brake, bool held_back,
                           TrackedRun& out) const {
   const ControlLimits limits{.torque_Nm = torque_limit_Nm_};
-  const StiffnessCurve stiffness = true_curve(brake);
+  const StiffnessCurve stiffness = known_stiffness(brake);
   out = {.bounded = true, .torque_Nm = std::move(out.torque_Nm)};
   out.torque_Nm.clear();
   BrakeState state = BrakeState::Zero();

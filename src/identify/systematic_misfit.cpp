@@ -110,7 +110,7 @@ double SystematicMisfit::moved_sd(const ParameterVector& sd_normalised) const {
   return covariance_normalised.diagonal().cwiseMax(0.0).cwiseSqrt().cwiseQuotient(sd_normalised).maxCoeff();
 }
 
-SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint, ResidualKind kind) {
+SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint) {
   SystematicMisfit misfit;
   if (runs.size() < kFewestRepeats || !joint.converged() || !joint.effects.empty() ||
       joint.initial_states.size() != runs.size() || !joint.parameters.theta.allFinite())
@@ -125,7 +125,7 @@ SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& jo
   ExtendedParameters model;
   model.base = joint.parameters;
   const NoiseLevels noise{{joint.noise_force_N, joint.noise_velocity_rad_s},
-                          kind == ResidualKind::Innovations ? joint.noise_torque_Nm : 0.0};
+                          joint.method == Method::PredictionError ? joint.noise_torque_Nm : 0.0};
   if (!within_bounds(model)) return misfit;
 
   const std::vector<FitRun> fits = fit_runs(runs);

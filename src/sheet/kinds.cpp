@@ -44,32 +44,29 @@ std::optional<double> least_torque_Nm(const BrakeParameters& parameters, const C
          parameters.fixed.ratio_m_rad * at.force_N;
 }
 
-std::optional<double> apply_time_s(const BrakeParameters& parameters, const Circumstances& at,
-                                   const BrakeParameters& nominal) {
+/// Between the open position and that of the set point, up to a share of its force.
+std::optional<double> time_s(const BrakeParameters& parameters, const Circumstances& at,
+                             const BrakeParameters& nominal, bool applies) {
   const PaperBrake brake = paper_brake(parameters);
   const std::optional<double> set_point = position_of_force(brake, at.force_N);
   if (!set_point) return std::nullopt;
   return move_time_s(brake,
-                     {.from_rad = -at.clearance_rad,
-                      .to_rad = *set_point,
+                     {.from_rad = applies ? -at.clearance_rad : *set_point,
+                      .to_rad = applies ? *set_point : -at.clearance_rad,
                       .level_rad = position_of_force(brake, at.share * at.force_N).value(),
                       .torque_limit_Nm = at.torque_limit_Nm,
                       .speed_limit_rad_s = at.speed_limit_rad_s},
                      nominal);
 }
 
+std::optional<double> apply_time_s(const BrakeParameters& parameters, const Circumstances& at,
+                                   const BrakeParameters& nominal) {
+  return time_s(parameters, at, nominal, true);
+}
+
 std::optional<double> release_time_s(const BrakeParameters& parameters, const Circumstances& at,
                                      const BrakeParameters& nominal) {
-  const PaperBrake brake = paper_brake(parameters);
-  const std::optional<double> set_point = position_of_force(brake, at.force_N);
-  if (!set_point) return std::nullopt;
-  return move_time_s(brake,
-                     {.from_rad = *set_point,
-                      .to_rad = -at.clearance_rad,
-                      .level_rad = position_of_force(brake, at.share * at.force_N).value(),
-                      .torque_limit_Nm = at.torque_limit_Nm,
-                      .speed_limit_rad_s = at.speed_limit_rad_s},
-                     nominal);
+  return time_s(parameters, at, nominal, false);
 }
 
 // Forces end where the loop's own limit of 29 kN would hold it back; shares where the law's approach to its

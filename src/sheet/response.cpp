@@ -6,6 +6,7 @@
 #include "clampd/base/clock.hpp"
 #include "clampd/brake/integrator.hpp"
 #include "clampd/control/control_law.hpp"
+#include "clampd/experiment/known_brake.hpp"
 #include "clampd/experiment/reference.hpp"
 
 namespace clampd {
@@ -17,18 +18,10 @@ constexpr int kHalvings = 60;
 double commanded_Nm(const PaperBrake& brake, const BrakeState& state, const Move& move,
                     const NominalDrive& drive) {
   const double force_N = brake.stiffness().force_N(state[0]);
-  const double speed_rad_s = std::abs(state[1]);
-  // The observer takes the viscous friction for nominal: what is more counts as excess like the rest.
-  const double nominal_Nm =
-      drive.dry_friction_Nm(speed_rad_s, force_N) + drive.viscous_Nm_s_rad * speed_rad_s;
-  const MotionState motion{
-      .position_rad = state[0],
-      .velocity_rad_s = state[1],
-      .friction_excess_Nm = brake.friction().sliding_Nm(force_N, speed_rad_s, 1.0) - nominal_Nm};
-  const StiffnessCurve stiffness{brake.stiffness().cubic_N_rad3, brake.stiffness().quadratic_N_rad2};
   const ControlLimits limits{.torque_Nm = move.torque_limit_Nm};
-  return limited_torque_Nm(move_torque_Nm(move.to_rad, move.speed_limit_rad_s, drive, motion, force_N),
-                           limits, drive, state[1], force_N, stiffness.slope_N_rad(state[0]));
+  return limited_torque_Nm(
+      move_torque_Nm(move.to_rad, move.speed_limit_rad_s, drive, known_motion(brake, state, drive), force_N),
+      limits, drive, state[1], force_N, known_stiffness(brake).slope_N_rad(state[0]));
 }
 
 }  // namespace

@@ -335,9 +335,7 @@ std::optional<SystematicRecord> CheckSession::count_misfit(const Estimate& joint
                                                            const std::vector<RunRecord>& runs,
                                                            ParameterVector& sd,
                                                            ParameterMatrix& added) const {
-  const SystematicMisfit misfit = systematic_misfit(
-      runs_of(runs), joint,
-      joint.method == Method::PredictionError ? ResidualKind::Innovations : ResidualKind::OutputError);
+  const SystematicMisfit misfit = systematic_misfit(runs_of(runs), joint);
   if (!misfit.can_tell) return std::nullopt;
   const ParameterVector nominal = nominal_parameters().cwiseAbs();
   const ParameterVector sd_normalised = sd.cwiseQuotient(nominal);

@@ -21,17 +21,6 @@ ordered_json numbers(const std::vector<double>& values) {
   return list_of(values, number_or_null);
 }
 
-ordered_json parameters_json(const std::vector<EstimatedParameter>& parameters) {
-  return list_of(parameters, [](const EstimatedParameter& parameter) -> ordered_json {
-    ordered_json json{{"name", parameter.name},
-                      {"unit", parameter.unit},
-                      {"value", number_or_null(parameter.value)},
-                      {"sd", number_or_null(parameter.sd)}};
-    if (!parameter.choice.empty()) json["choice"] = parameter.choice;
-    return json;
-  });
-}
-
 /// An unexplained result names no cause: its effects were tried and are not enough.
 ordered_json effect_json(const NamedEffect& effect, bool explains) {
   return {{"name", effect.name},
@@ -153,6 +142,21 @@ ordered_json gain_json(const Diagnosis& diagnosis, const DiagnosisSubject& subje
 
 }  // namespace
 
+ordered_json parameters_json(const std::vector<EstimatedParameter>& parameters) {
+  return list_of(parameters, [](const EstimatedParameter& parameter) -> ordered_json {
+    ordered_json json{{"name", parameter.name},
+                      {"unit", parameter.unit},
+                      {"value", number_or_null(parameter.value)},
+                      {"sd", number_or_null(parameter.sd)}};
+    if (!parameter.choice.empty()) json["choice"] = parameter.choice;
+    return json;
+  });
+}
+
+ordered_json findings_json(const std::vector<DataFinding>& findings) {
+  return list_of(findings, finding_json);
+}
+
 ordered_json diagnosis_json(const Diagnosis& diagnosis, const DiagnosisSubject& subject) {
   return {{"schema", "clampd.diagnosis/1"},
           {"verdict", to_string(diagnosis.verdict)},
@@ -183,7 +187,7 @@ ordered_json diagnosis_json(const Diagnosis& diagnosis, const DiagnosisSubject& 
           {"share_left", number_or_null(diagnosis.share_left)},
           {"share_explainable", number_or_null(diagnosis.share_explainable)},
           {"rows", rows_json(diagnosis.rows)},
-          {"data", list_of(diagnosis.data, finding_json)},
+          {"data", findings_json(diagnosis.data)},
           {"notices", diagnosis.notices},
           {"wall_s", diagnosis.wall_s}};
 }

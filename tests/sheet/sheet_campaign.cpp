@@ -1,13 +1,11 @@
 #include "tests/sheet/sheet_campaign.hpp"
 
 #include <algorithm>
-#include <array>
 #include <chrono>
 #include <cmath>
 #include <limits>
 #include <optional>
 #include <ostream>
-#include <random>
 #include <stdexcept>
 
 #include <fmt/format.h>
@@ -20,32 +18,12 @@
 #include "clampd/simulation/simulate.hpp"
 #include "clampd/station/verdict.hpp"
 #include "tests/sheet/plant_measurement.hpp"
+#include "tests/support/drawn_brake.hpp"
 
 namespace clampd::support {
 namespace {
 
-constexpr std::array<double, kParameterCount> kTableII{0.8, 0.9, 1.66, 0.93, 2.2, 1.05, 0.43};
 constexpr double kGuardBand = 2.0;
-
-class Draws {
- public:
-  explicit Draws(std::uint64_t seed) : random_(seed) {}
-
-  double uniform(double low, double high) {
-    return std::uniform_real_distribution<double>(low, high)(random_);
-  }
-  double log_uniform(double low, double high) { return std::exp(uniform(std::log(low), std::log(high))); }
-  BrakeParameters brake() {
-    BrakeParameters brake;
-    for (std::size_t i = 0; i < kParameterCount; ++i)
-      brake.theta[static_cast<Eigen::Index>(i)] *= 1.0 + (kTableII[i] - 1.0) * uniform(-0.25, 1.25);
-    return brake;
-  }
-  std::uint64_t seed() { return random_(); }
-
- private:
-  std::mt19937_64 random_;
-};
 
 /// The shipped sheet, each line limited where a tenth of the brakes are beyond.
 std::vector<Characteristic> limited_lines() {
@@ -92,9 +70,7 @@ void count(CharacteristicCount& counts, const Characteristic& line, const Charac
 
 /// What a check adds to the covariance for a systematic misfit; counts those that do.
 ParameterMatrix counted_misfit(const std::vector<Run>& runs, const Estimate& estimate, int& marked) {
-  const SystematicMisfit misfit = systematic_misfit(
-      runs, estimate,
-      estimate.method == Method::PredictionError ? ResidualKind::Innovations : ResidualKind::OutputError);
+  const SystematicMisfit misfit = systematic_misfit(runs, estimate);
   if (!misfit.counts(estimate.covariance_normalised.diagonal().cwiseSqrt())) return ParameterMatrix::Zero();
   ++marked;
   return misfit.covariance_normalised;
@@ -119,10 +95,11 @@ SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
   for (int i = 0; i < options.brakes; ++i) {
     sim::PlantConfiguration plant = shipped;
     plant.brake = draws.brake();
-    plant.sensors.force_noise_N = draws.log_uniform(5.0, 75.0);
-    plant.sensors.velocity_noise_rad_s = draws.log_uniform(0.05, 1.5);
-    plant.sensors.torque_noise_Nm = draws.log_uniform(5e-4, 0.0142);
-    plant.seed = draws.seed();
+    const NoiseLevels noise = draws.noise();
+    plant.sensors.force_noise_N = noise.sensors.force_N;
+    plant.sensors.velocity_noise_rad_s = noise.sensors.velocity_rad_s;
+    plant.sensors.torque_noise_Nm = noise.torque_Nm;
+    plant.seed = draws.generator()();
     const Result<std::vector<Run>> runs =
         simulate_manoeuvre(plant, reference, {}, static_cast<std::uint16_t>(options.repeats));
     if (!runs) {

@@ -42,21 +42,16 @@ struct IdentifyOptions {
   std::optional<Sheet> sheet;                  ///< of the sheet file
 };
 
-/// Half width of the guard band of a sheet in standard deviations: that of the shipped limits.
-constexpr double kGuardBand = 2.0;
-
 /// What the runs say of the sheet's characteristics.
 SheetRecord judged_sheet(const Sheet& sheet, const Estimate& summary, const std::vector<Run>& runs,
                          const BrakeParameters& nominal) {
-  const ResidualKind kind =
-      summary.method == Method::PredictionError ? ResidualKind::Innovations : ResidualKind::OutputError;
-  const SystematicMisfit misfit = systematic_misfit(runs, summary, kind);
+  const SystematicMisfit misfit = systematic_misfit(runs, summary);
   const bool is_marked = misfit.counts(summary.covariance_normalised.diagonal().cwiseSqrt());
   const Posterior posterior =
       is_marked ? posterior_of(summary, misfit.covariance_normalised) : posterior_of(summary);
-  return {
-      sheet.file, sheet.revision, sheet.sha256, is_marked,
-      judge_sheet(sheet.characteristics, evaluate(sheet.characteristics, posterior, nominal), kGuardBand)};
+  return {sheet.file, sheet.revision, sheet.sha256, is_marked,
+          judge_sheet(sheet.characteristics, evaluate(sheet.characteristics, posterior, nominal),
+                      LimitSet{}.guard_band_k)};
 }
 
 /// Beyond this correlation two parameters are hard to tell apart.
@@ -387,7 +382,7 @@ void add_identify_command(CLI::App& app, int& exit_code) {
               "{} is a model of a drive, and {} is of brakes: leave it out", options->model, of_brakes)});
           return;
         }
-      exit_code = identify_drive_files({options->files, options->model, options->json, options->save});
+      exit_code = identify_drive_files({options->files, options->model, *text, options->json, options->save});
       return;
     }
     if (!options->save.empty()) {

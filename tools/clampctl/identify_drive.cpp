@@ -8,6 +8,7 @@
 #include "clampd/base/json.hpp"
 #include "clampd/drive/diagnosis.hpp"
 #include "clampd/record/file.hpp"
+#include "clampd/views/diagnosis_json.hpp"
 #include "clampd/views/diagnosis_words.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
@@ -26,18 +27,8 @@ ordered_json to_json(const DriveIdentification& identified, const IdentifyDriveC
                         {"share_explainable", number_or_null(identified.share_explainable)},
                         {"good_enough", identified.fitted.model.good_enough},
                         {"enough", identified.is_enough}};
-  document["parameters"] = ordered_json::array();
-  for (const EstimatedParameter& each : identified.parameters)
-    document["parameters"].push_back({{"name", each.name},
-                                      {"unit", each.unit},
-                                      {"value", number_or_null(each.value)},
-                                      {"sd", number_or_null(each.sd)}});
-  document["data"] = ordered_json::array();
-  for (const DataFinding& each : identified.data)
-    document["data"].push_back({{"name", each.name},
-                                {"column", each.column},
-                                {"severity", to_string(each.severity)},
-                                {"words", each.words}});
+  document["parameters"] = parameters_json(identified.parameters);
+  document["data"] = findings_json(identified.data);
   document["notices"] = identified.notices;
   return document;
 }
@@ -65,7 +56,7 @@ int identify_drive_files(const IdentifyDriveCommand& command) {
                            cli::OutputOption{"--save", command.save}};
   if (const Result<void> checked = cli::check_outputs(outputs, read); !checked)
     return cli::refuse(checked.error());
-  const Result<FittedDrive> saved = read_fitted_drive(command.model);
+  const Result<FittedDrive> saved = parse_fitted_drive(command.text, command.model);
   if (!saved) return cli::refuse(saved.error());
   std::vector<Run> runs;
   for (const std::string& file : command.files) {

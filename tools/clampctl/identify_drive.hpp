@@ -7,7 +7,8 @@ namespace clampd::ctl {
 
 struct IdentifyDriveCommand {
   std::vector<std::string> files;
-  std::string model;  ///< a saved model of a drive
+  std::string model;  ///< file of a saved model of a drive
+  std::string text;   ///< what stands in it
   std::string json;
   std::string save;
 };

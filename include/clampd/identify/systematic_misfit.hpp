@@ -30,21 +30,17 @@ struct SystematicMisfit {
   }
 };
 
-/// How the residuals of the estimate come about.
-enum class ResidualKind {
-  OutputError,  ///< of a simulation by the recorded torque
-  Innovations,  ///< of a prediction from the readings before, by the estimate's noise of the torque
-};
-
 /// Fewer repeats say too little about their own scatter.
 inline constexpr std::size_t kFewestRepeats = 4;
 
-/// Tests the residuals of a joint estimate of the base model. Each repeat's residuals are summed over blocks
-/// of neighbouring rows, what the parameters, the initial state and a wrong tare could answer taken off;
-/// then R |mean|^2 over the trace of the repeats' own covariance is compared with F(h, (R - 1) h) (Dempster,
-/// A high dimensional two sample significance test, 1958, for one sample), h by the covariance's unbiased
-/// traces (Srivastava, Fujikoshi, 2006). It takes the noise from the repeats alone: neither its level nor its
-/// autocorrelation, which the controller feeds through the motion, is presumed.
+/// Tests the residuals of a joint estimate of the base model: of a simulation by the recorded torque after
+/// the output error method, and after the prediction error method the innovations, by the estimate's noise of
+/// the torque. Each repeat's residuals are summed over blocks of neighbouring rows, what the parameters, the
+/// initial state and a wrong tare could answer taken off; then R |mean|^2 over the trace of the repeats' own
+/// covariance is compared with F(h, (R - 1) h) (Dempster, A high dimensional two sample significance test,
+/// 1958, for one sample), h by the covariance's unbiased traces (Srivastava, Fujikoshi, 2006). It takes the
+/// noise from the repeats alone: neither its level nor its autocorrelation, which the controller feeds
+/// through the motion, is presumed.
 ///
 /// The covariance is the jackknife over stretches of the trajectory (Tukey 1958; HC3 of MacKinnon and White
 /// 1985, of clusters): how far theta would move if one stretch of the repeats' mean residual were left out.
@@ -54,6 +50,6 @@ inline constexpr std::size_t kFewestRepeats = 4;
 ///
 /// Not to be told (can_tell false): fewer than kFewestRepeats runs, runs of different length, an estimate
 /// that has not converged or with effects beside the base model, a model that leaves all bounds.
-SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint, ResidualKind kind);
+SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint);
 
 }  // namespace clampd
