@@ -368,14 +368,14 @@ TEST_F(DriveCommands, ASavedModelIsIdentifiedAnewOnOtherRuns) {
 TEST_F(DriveCommands, ANewModelFileIsOneThatADiagnosisReads) {
   const DriveRun run = drive_test::record(drive(4), 1);
   folder_.write("run.csv", format_run(run));
-  ASSERT_EQ(clampctl("drive new run.csv --output model.toml").exit_code, 0);
+  ASSERT_EQ(clampctl("drive new run.csv --out model.toml").exit_code, 0);
   const Outcome outcome = clampctl("diagnose run.csv --model model.toml");
   EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
   EXPECT_THAT(outcome.output, HasSubstr("of the torque's variation"));
   const std::string model = folder_.read("model.toml");
   EXPECT_EQ(clampctl("drive new run.csv").output, model);
   for (const char* name : {"model.toml", "run.csv"}) {
-    const Outcome again = clampctl(std::string("drive new run.csv --output ") + name);
+    const Outcome again = clampctl(std::string("drive new run.csv --out ") + name);
     EXPECT_EQ(again.exit_code, 2);
     EXPECT_THAT(again.output, HasSubstr(name));
   }

@@ -15,26 +15,26 @@ namespace clampd::ctl {
 namespace {
 
 struct NewDriveCommand {
-  std::string run, output;
+  std::string run, out;
 };
 
 int propose(const NewDriveCommand& command) {
   const Result<ProposedDriveModel> model = propose_drive_model(command.run);
   if (!model) return cli::refuse(model.error());
   for (const std::string& notice : model->notices) cli::print_notice(notice);
-  if (command.output.empty()) {
+  if (command.out.empty()) {
     fmt::print("{}", model->text);
     return cli::kSuccess;
   }
-  const std::array outputs{cli::OutputOption{"--output", command.output}};
+  const std::array outputs{cli::OutputOption{"--out", command.out}};
   if (const Result<void> checked = cli::check_outputs(outputs, {command.run}); !checked)
     return cli::refuse(checked.error());
-  if (std::filesystem::exists(command.output))
+  if (std::filesystem::exists(command.out))
     return cli::refuse(
         Error{fmt::format("{}: is there already; a model file that somebody has written is not "
                           "overwritten. Give another name",
-                          command.output)});
-  if (const Result<void> written = write_file_atomically(command.output, model->text); !written)
+                          command.out)});
+  if (const Result<void> written = write_file_atomically(command.out, model->text); !written)
     return cli::refuse(written.error());
   return cli::kSuccess;
 }
@@ -50,7 +50,7 @@ void add_drive_command(CLI::App& app, int& exit_code) {
   command->add_option("run", options->run, "a table of time, torque and motion")
       ->required()
       ->type_name("RUN.csv");
-  command->add_option("-o,--output", options->output, "the model file; standard output unless given")
+  command->add_option("--out", options->out, "the model file; standard output unless given")
       ->type_name("FILE");
   command->callback([options, &exit_code] { exit_code = propose(*options); });
 }
