@@ -1,7 +1,7 @@
 // Clients of the station's HTTP server that no proper program would be, and a stop among them.
 //
 //   http_clients PORT crowd COUNT
-//       keeps COUNT connections until it is killed; "ready" once all of them are there
+//       keeps COUNT connections until it is told to end; "ready" once all of them are there
 //   http_clients PORT stop INTERFACE
 //       asks for a stop as soon as a command frame asks for torque; "MONOTONIC REALTIME ANSWERED", in
 //       seconds: both clocks immediately before it connects, and the monotonic one when the answer, 200, is
@@ -20,6 +20,8 @@
 #include <unistd.h>
 
 #include <array>
+#include <cerrno>
+#include <csignal>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -75,20 +77,31 @@ class Crowd {
     for (std::size_t i = 0; i < count; ++i) connect(i);
   }
 
-  /// Keeps them, and brings back those that the station closes, twenty in a tenth of a second at most.
-  [[noreturn]] void keep() {
-    while (true) {
-      int closed = 0;
-      if (poll(sockets_.data(), sockets_.size(), 100) < 0) give_up("poll");
+  /// Keeps them until SIGTERM, and brings back those that the station closes, twenty in a tenth of a second
+  /// at most. They leave at that pace, too: where all go at once, one slow processor delivers no frame for
+  /// longer than a brake may be silent.
+  void keep() {
+    std::signal(SIGTERM, [](int) { leaving = 1; });
+    while (leaving == 0) {
+      std::size_t closed = 0;
+      if (poll(sockets_.data(), sockets_.size(), 100) < 0 && errno != EINTR) give_up("poll");
       for (std::size_t i = 0; i < sockets_.size(); ++i) {
         if (kind(i).drips) ::send(sockets_[i].fd, "x", 1, MSG_NOSIGNAL | MSG_DONTWAIT);
-        if (sockets_[i].revents != 0 && !read(i) && closed++ < 20) connect(i);
+        if (sockets_[i].revents != 0 && !read(i) && closed++ < kAtOnce) connect(i);
       }
-      usleep(100'000);
+      usleep(kPause_us);
+    }
+    for (std::size_t i = 0; i < sockets_.size(); ++i) {
+      close(sockets_[i].fd);
+      if (i % kAtOnce == kAtOnce - 1) usleep(kPause_us);
     }
   }
 
  private:
+  static constexpr std::size_t kAtOnce = 20;
+  static constexpr useconds_t kPause_us = 100'000;
+  static inline volatile std::sig_atomic_t leaving = 0;
+
   static const Kind& kind(std::size_t i) { return kKinds[i % kKinds.size()]; }
 
   void connect(std::size_t i) {
@@ -159,6 +172,7 @@ int main(int count, char** words) {
     std::puts("ready");
     std::fflush(stdout);
     crowd.keep();
+    return 0;
   }
   if (verb == "stop" && count == 4) {
     stop(port, words[3]);

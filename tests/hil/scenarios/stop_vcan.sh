@@ -112,6 +112,7 @@ expect_aborted
 again
 kill -0 $crowd_pid || fail "the clients are gone: $(cat /tmp/crowd.log)"
 kill $crowd_pid
+wait $crowd_pid || fail "the clients did not leave: $(cat /tmp/crowd.log)"
 wait_until 10 "the station is at rest" wait_for_idle
 check last 2
 expect_pass last
