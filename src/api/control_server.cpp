@@ -36,9 +36,10 @@ constexpr std::string_view kJson = "application/json";
 constexpr std::uint32_t kMaxChecks = 1000;  // of one answer
 
 /// Who does what: the archive may wait for a disk and a command for a lock, and neither may keep the other,
-/// or the question what the station does now, from being answered.
+/// or the question what the station does now, from being answered. A verdict goes before whoever reads the
+/// archive, or a few readers of long lists would keep a small computer from judging.
 enum Worker : std::size_t { kCommands, kStation, kArchive };
-const std::vector<http::PoolSize> kWorkers{{1, 8}, {1, 32}, {2, 16}};
+const std::vector<http::PoolSize> kWorkers{{1, 8}, {1, 32}, {2, 16, 10}};
 constexpr std::optional<std::size_t> kAtOnce;
 
 /// What the screen may do in a browser: nothing but itself, from nowhere else.

@@ -477,6 +477,10 @@ std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, cons
   return impossible_friction(terms, range, model);
 }
 
+}  // namespace clampd::drive
+
+namespace clampd {
+
 std::string words_of(DriveTerm term, std::string_view effort) {
   switch (term) {
     case DriveTerm::Inertia:
@@ -521,4 +525,4 @@ std::string words_of(DriveTerm term, std::string_view effort) {
   return "";
 }
 
-}  // namespace clampd::drive
+}  // namespace clampd

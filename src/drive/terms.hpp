@@ -88,7 +88,4 @@ Variant with_shape(const Variant& variant, double shape);
 std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, const DriveRange& range,
                                       const DriveModel& model);
 
-/// "torque ripples periodically with position"; of a linear drive, `effort` is its force.
-std::string words_of(DriveTerm term, std::string_view effort);
-
 }  // namespace clampd::drive

@@ -333,7 +333,7 @@ Server::Implementation::Implementation(Settings settings, Router router)
     : settings_(std::move(settings)), router_(std::move(router)) {
   std::size_t held = 0;
   for (const PoolSize& size : settings_.pools) {
-    pools_.push_back(std::make_unique<WorkerPool>(size.threads, size.waiting));
+    pools_.push_back(std::make_unique<WorkerPool>(size.threads, size.waiting, size.nice));
     held += pools_.back()->capacity();
   }
   CLAMPD_ASSERT(held < settings_.limits.connections);

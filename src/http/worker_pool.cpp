@@ -1,10 +1,14 @@
 #include "src/http/worker_pool.hpp"
 
+#include <sys/resource.h>
+#include <unistd.h>
+
 #include <utility>
 
 namespace clampd::http {
 
-WorkerPool::WorkerPool(std::size_t threads, std::size_t most_waiting) : most_waiting_(most_waiting) {
+WorkerPool::WorkerPool(std::size_t threads, std::size_t most_waiting, int nice)
+    : most_waiting_(most_waiting), nice_(nice) {
   for (std::size_t i = 0; i < threads; ++i) threads_.emplace_back([this] { work(); });
 }
 
@@ -29,6 +33,7 @@ bool WorkerPool::offer(std::function<void()> job) {
 }
 
 void WorkerPool::work() {
+  if (nice_ != 0) setpriority(PRIO_PROCESS, static_cast<id_t>(gettid()), nice_);
   while (true) {
     std::function<void()> job;
     {

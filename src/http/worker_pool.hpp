@@ -12,7 +12,8 @@ namespace clampd::http {
 /// A fixed number of threads, and a fixed number of jobs that may wait for them.
 class WorkerPool {
  public:
-  WorkerPool(std::size_t threads, std::size_t most_waiting);
+  /// nice: of its threads.
+  WorkerPool(std::size_t threads, std::size_t most_waiting, int nice);
   /// Waits for the jobs that are being done; those that still wait are dropped.
   ~WorkerPool();
   WorkerPool(const WorkerPool&) = delete;
@@ -27,6 +28,7 @@ class WorkerPool {
   void work();
 
   const std::size_t most_waiting_;
+  const int nice_;
   std::mutex mutex_;
   std::condition_variable changed_;
   std::deque<std::function<void()>> waiting_;

@@ -3,6 +3,9 @@
 
 #include "clampd/http/server.hpp"
 
+#include <sys/resource.h>
+#include <unistd.h>
+
 #include <condition_variable>
 #include <mutex>
 #include <new>
@@ -22,6 +25,7 @@ namespace {
 
 using support::answer_to;
 using support::Connection;
+using ::testing::EndsWith;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::StartsWith;
@@ -86,6 +90,11 @@ class HttpServer : public ::testing::Test {
                    gate_.pass();
                    return Response{200, "waited"};
                  }};
+    if (request.path == "/nice")
+      return Job{
+          0, false, [](const Request&) {
+            return Response{200, std::to_string(getpriority(PRIO_PROCESS, static_cast<id_t>(gettid())))};
+          }};
     const std::optional<std::size_t> pool =
         request.has_parameter("worker") ? std::optional(std::size_t{0}) : std::nullopt;
     return Job{pool, false, [](const Request& whole) -> Response {
@@ -188,6 +197,14 @@ TEST_F(HttpServer, AFullQueueIsSaidAtOnceAndKeepsNobodyElseWaiting) {
   EXPECT_THAT(get("/hello"), HasSubstr("200 OK")) << "while all workers wait";
   gate_.open();
   for (std::size_t i = 0; i < 3; ++i) EXPECT_THAT(waiting[i].receive(), HasSubstr("waited"));
+}
+
+TEST_F(HttpServer, APoolThatIsNotUrgentGoesAfterTheOtherThreads) {
+  settings_.pools = {{1, 2, 19}};
+  const int before = getpriority(PRIO_PROCESS, static_cast<id_t>(gettid()));
+  start();
+  EXPECT_THAT(get("/nice"), EndsWith("\r\n\r\n19"));
+  EXPECT_EQ(getpriority(PRIO_PROCESS, static_cast<id_t>(gettid())), before);
 }
 
 TEST_F(HttpServer, ForOneMoreConnectionTheOldestThatSaysNothingGoes) {

@@ -5,6 +5,7 @@
 #include <fstream>
 #include <iterator>
 #include <string>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -19,6 +20,7 @@ namespace {
 using support::Outcome;
 using ::testing::AllOf;
 using ::testing::AnyOf;
+using ::testing::Contains;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Not;
@@ -40,6 +42,23 @@ class CommandLine : public ::testing::Test {
 };
 
 constexpr const char* kRunHeader = "time_s,torque_Nm,velocity_rad_s,force_N\n";
+
+TEST_F(CommandLine, ListsTheEffectsThatADiagnosisKnows) {
+  const Outcome text = clampctl("effects");
+  EXPECT_EQ(text.exit_code, 0) << text.output;
+  EXPECT_THAT(text.output, AllOf(HasSubstr("pad-damping"), HasSubstr("friction-power")));
+  const Outcome outcome = clampctl("effects --json");
+  const auto document = nlohmann::json::parse(outcome.output);
+  EXPECT_EQ(document.at("schema"), "clampd.effects/1");
+  const auto names = [&document](const char* kind) {
+    std::vector<std::string> found;
+    for (const auto& effect : document.at(kind)) found.push_back(effect.at("name"));
+    return found;
+  };
+  EXPECT_THAT(names("brake"), AllOf(Contains("cogging"), Contains("channel-skew"), Not(Contains("gravity"))));
+  EXPECT_THAT(names("drive"), AllOf(Contains("gravity"), Contains("column:NAME"), Not(Contains("inertia"))));
+  for (const auto& effect : document.at("brake")) EXPECT_FALSE(effect.at("parameters").empty()) << effect;
+}
 
 TEST_F(CommandLine, ChecksABrakeAsOftenAsItNeeds) {
   const Outcome outcome = clampctl("run --serial GOOD-1 --repeats auto --json check.json");
@@ -277,8 +296,7 @@ TEST_F(CommandLine, NoCharacteristicHasANumberThatTheRunsDoNotGive) {
       clampctl("identify runs/clearance-001.csv --sheet " + kShippedSheet + " --json fit.json");
   EXPECT_EQ(nothing.exit_code, 0) << nothing.output;
   const auto unknown = nlohmann::json::parse(read("fit.json"));
-  for (const auto& line : unknown.at("sheet"))
-    EXPECT_TRUE(line.at("value").is_null()) << line;
+  for (const auto& line : unknown.at("sheet")) EXPECT_TRUE(line.at("value").is_null()) << line;
 }
 
 TEST_F(CommandLine, ChecksByASheet) {

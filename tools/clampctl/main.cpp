@@ -23,6 +23,7 @@ int main(int argc, char** argv) {
   ctl::add_diagnose_command(app, exit_code);
   ctl::add_predict_command(app, exit_code);
   ctl::add_drive_command(app, exit_code);
+  ctl::add_effects_command(app, exit_code);
   ctl::add_design_command(app, exit_code);
   ctl::add_simulate_command(app, exit_code);
   ctl::add_reproduce_command(app, exit_code);

@@ -60,6 +60,9 @@ constexpr std::string_view name_of(DriveTerm term) {
   return kDriveTermNames[static_cast<std::size_t>(term)];
 }
 
+/// "torque ripples periodically with position"; of a linear drive, `effort` is its force.
+std::string words_of(DriveTerm term, std::string_view effort);
+
 /// A column of the user's own: a load cell, a temperature, a gravity torque that was computed elsewhere.
 struct DriveRegressor {
   std::string name;  ///< as in "column:NAME"; the run's RunColumn has the same

@@ -30,6 +30,7 @@ struct Limits {
 struct PoolSize {
   std::size_t threads = 1;
   std::size_t waiting = 8;
+  int nice = 0;  ///< above 0 the other threads of this process go before them
 };
 
 /// What is to be done for a request whose header has been read.
