@@ -143,12 +143,12 @@ void negate_motion(RunCheck& check) {
         "position was negated; write scale = -1 for it into the model file",
         finding.column,
         check.model.columns.velocity ? check.model.columns.velocity->column : "velocity_rad_s",
-        check.model.columns.torque.column);
+        check.model.columns.torque->column);
   }
 }
 
 void judge_sign(RunCheck& check, const Signs& signs, bool both_directions) {
-  const std::string& column = check.model.columns.torque.column;
+  const std::string& column = check.model.columns.torque->column;
   const bool friction_negative = both_directions && signs.dissipation.is_negative();
   const bool friction_positive = both_directions && signs.dissipation.value > 5.0 * signs.dissipation.sd;
   if (signs.inertia_is_seen && signs.inertia.is_negative() && !friction_positive) {
@@ -236,7 +236,7 @@ void judge_delay(RunCheck& check, const Delay& delay) {
   constexpr Eigen::Index kMostBlocks = kBalanceBlocks * 3 / 4;
   if (delay.at_end || delay.left > kLeftOver || delay.blocks_better < kMostBlocks) return;
   if (std::abs(delay.value_s) < std::max(1.5 * row_s, 5.0 * delay.sd_s)) return;
-  const std::string& column = check.model.columns.torque.column;
+  const std::string& column = check.model.columns.torque->column;
   check.add(
       "torque-delay", column, delay.value_s, "s", DataSeverity::Note,
       fmt::format("column {} is {:.3g} ± {:.1g} ms ({:.1f} rows) {} the motion that it causes; {:.0f} % less "
@@ -255,7 +255,7 @@ void check_torque_against_motion(RunCheck& check) {
   constexpr std::size_t kLeastRows = 100;
   constexpr Eigen::Index kLeastPlaces = 5 * kBalanceBlocks;
   if (check.run.size() < kLeastRows) return;
-  const std::string& column = check.model.columns.torque.column;
+  const std::string& column = check.model.columns.torque->column;
   if (std::ranges::all_of(check.run.torque_Nm,
                           [&](double value) { return value == check.run.torque_Nm.front(); })) {
     check.add("constant", column, check.run.torque_Nm.front(), std::string(torque_unit(check.model)),
@@ -347,7 +347,7 @@ void check_clipping(RunCheck& check) {
     beyond = std::max(beyond, asked_beyond(check.run, check.model.linear, limit.level));
   }
   if (rows == 0) return;
-  const std::string& column = check.model.columns.torque.column;
+  const std::string& column = check.model.columns.torque->column;
   // A tenth more than the reading shows is beyond what friction of another law would make of it.
   constexpr double kContradiction = 0.1;
   const std::string what = fmt::format(

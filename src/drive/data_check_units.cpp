@@ -100,7 +100,7 @@ void check_counts(RunCheck& check, const ColumnSource& source) {
 
 /// A torque column that is named after another kind of quantity than the model file says.
 void check_torque_kind(RunCheck& check) {
-  const ColumnSource& source = check.model.columns.torque;
+  const ColumnSource& source = *check.model.columns.torque;
   if (source.scale != 1.0) return;
   for (const std::string_view unit : {"A", "N", "Nm", "V"}) {
     const std::string_view said =
@@ -158,7 +158,7 @@ std::vector<Channel> channels_of(RunCheck& check) {
   using Kind = Channel::Kind;
   const ColumnMap& columns = check.model.columns;
   std::vector<Channel> channels;
-  channels.push_back({&check.run.torque_Nm, columns.torque.column, torque_unit(check.model), Kind::Torque});
+  channels.push_back({&check.run.torque_Nm, columns.torque->column, torque_unit(check.model), Kind::Torque});
   if (!check.run.velocity_rad_s.empty())
     channels.push_back({&check.run.velocity_rad_s,
                         columns.velocity ? columns.velocity->column : "velocity_rad_s",
@@ -206,9 +206,9 @@ void check_units(RunCheck& check) {
     if (!check.model.linear && check.mended == scaled)
       check_named(check, run.velocity_rad_s, *columns.velocity, kAngles);
   }
-  if (check.model.torque_unit == "N m") check_named(check, run.torque_Nm, columns.torque, kTorques);
-  if (check.model.torque_unit == "N") check_named(check, run.torque_Nm, columns.torque, kForces);
-  if (check.model.torque_unit == "A") check_named(check, run.torque_Nm, columns.torque, kCurrents);
+  if (check.model.torque_unit == "N m") check_named(check, run.torque_Nm, *columns.torque, kTorques);
+  if (check.model.torque_unit == "N") check_named(check, run.torque_Nm, *columns.torque, kForces);
+  if (check.model.torque_unit == "A") check_named(check, run.torque_Nm, *columns.torque, kCurrents);
   check_torque_kind(check);
   if (std::ranges::none_of(check.findings,
                            [](const DataFinding& each) { return each.severity == DataSeverity::Stop; }))

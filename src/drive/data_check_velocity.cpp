@@ -276,7 +276,7 @@ void check_velocity_against_position(RunCheck& check) {
                 ? fmt::format(
                       "Column {} is, up to a scale: the columns of {} and velocity are swapped in the "
                       "model file",
-                      check.model.columns.torque.column, check.model.effort())
+                      check.model.columns.torque->column, check.model.effort())
                 : "Look for swapped columns, another axis, or a reading that stands still; leave it out of "
                   "the model "
                   "file if the position is right"));

@@ -288,7 +288,7 @@ void add_preparation(const Workshop& shop, const DriveModel& model, Diagnosis& d
                                             model.effort(), shop.data.cut_off_Hz));
   if (shop.options.lag_s != 0.0)
     diagnosis.data.push_back(
-        {"torque-delay", model.columns.torque.column, shop.data.runs.front().name, shop.options.lag_s, "s",
+        {"torque-delay", model.columns.torque->column, shop.data.runs.front().name, shop.options.lag_s, "s",
          DataFinding::Severity::Mended,
          fmt::format("the {} acts {:.2g} ms {} its reading, less than a row; it was shifted by that much",
                      model.effort(), 1e3 * std::abs(shop.options.lag_s),
@@ -370,7 +370,7 @@ bool inertia_is_possible(const DriveModel& model, Diagnosis& diagnosis) {
   const auto inertia = std::ranges::find(parameters, "inertia", &EstimatedParameter::name);
   if (inertia == parameters.end() || !(inertia->value < -kCertain_sds * inertia->sd)) return true;
   const auto viscous = std::ranges::find(parameters, "viscous", &EstimatedParameter::name);
-  const std::string& column = model.columns.torque.column;
+  const std::string& column = model.columns.torque->column;
   const std::string what = fmt::format("with column {} the inertia would be negative, {:.3g} ± {:.1g} {}",
                                        column, inertia->value, inertia->sd, inertia->unit);
   if (viscous != parameters.end() && viscous->value > 0.0) {

@@ -47,7 +47,7 @@ toml::table source_table(const ColumnSource& source) {
 
 toml::table columns_table(const DriveModel& model) {
   toml::table table{{"time", source_table(model.columns.time)},
-                    {"torque", source_table(model.columns.torque)}};
+                    {"torque", source_table(*model.columns.torque)}};
   if (model.columns.position) table.insert("position", source_table(*model.columns.position));
   if (model.load_position) table.insert("load_position", source_table(model.columns.others.back().second));
   if (model.columns.velocity) table.insert("velocity", source_table(*model.columns.velocity));

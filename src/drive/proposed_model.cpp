@@ -117,7 +117,7 @@ std::vector<std::string> parts_of(std::string_view name) {
   return parts;
 }
 
-struct Column {
+struct NamedColumn {
   std::string name;
   Quantity quantity = Quantity::None;
   double scale = 1.0;  ///< 0: not told by the name
@@ -125,8 +125,8 @@ struct Column {
   bool linear = false, has_unit = false, elsewhere = false;
 };
 
-Column told_by_name(const std::string& name) {
-  Column column{name};
+NamedColumn told_by_name(const std::string& name) {
+  NamedColumn column{name};
   std::vector<std::string> parts = parts_of(name);
   // The unit stands at the end, in one part or two: "rad_s".
   for (const std::size_t count : {2, 1}) {
@@ -151,15 +151,15 @@ Column told_by_name(const std::string& name) {
 }
 
 /// The nearer to the torque, the better: a torque, a force, a current, a voltage, a duty cycle.
-int rank(const Column& column) {
+int rank(const NamedColumn& column) {
   constexpr std::array<std::string_view, 5> kOrder{"N m", "N", "A", "V", "%"};
   const auto place = std::ranges::find(kOrder, column.effort) - kOrder.begin();
   return 10 * static_cast<int>(column.elsewhere) + static_cast<int>(place % std::ssize(kOrder));
 }
 
-const Column* best(const std::vector<Column>& columns, Quantity quantity) {
-  const Column* found = nullptr;
-  for (const Column& each : columns)
+const NamedColumn* best(const std::vector<NamedColumn>& columns, Quantity quantity) {
+  const NamedColumn* found = nullptr;
+  for (const NamedColumn& each : columns)
     if (each.quantity == quantity && (found == nullptr || rank(each) < rank(*found))) found = &each;
   return found;
 }
@@ -170,7 +170,7 @@ std::string in_quotes(const std::string& text) {
   return quoted.str();
 }
 
-std::string line_of(std::string_view key, const Column& column) {
+std::string line_of(std::string_view key, const NamedColumn& column) {
   if (column.scale == 0.0)
     return fmt::format("{} = {{column = {}, scale = 1.0}}  # scale: {} in one count\n", key,
                        in_quotes(column.name), "rad (or m)");
@@ -179,14 +179,14 @@ std::string line_of(std::string_view key, const Column& column) {
 }
 
 struct Chosen {
-  const Column *time, *torque, *position, *velocity, *enabled;
+  const NamedColumn *time, *torque, *position, *velocity, *enabled;
 
   bool linear() const {
-    for (const Column* motion : {position, velocity})
+    for (const NamedColumn* motion : {position, velocity})
       if (motion != nullptr && motion->has_unit && motion->scale != 0.0) return motion->linear;
     return torque->linear;
   }
-  bool is_any(const Column& column) const {
+  bool is_any(const NamedColumn& column) const {
     return &column == time || &column == torque || &column == position || &column == velocity ||
            &column == enabled;
   }
@@ -219,7 +219,7 @@ Result<ProposedDriveModel> propose_drive_model(const std::string& path) {
   if (!text) return tl::unexpected(text.error());
   const Result<TableHeader> header = find_header(*text, path);
   if (!header) return tl::unexpected(header.error());
-  std::vector<Column> columns;
+  std::vector<NamedColumn> columns;
   for (const std::string& name : header->names) columns.push_back(told_by_name(name));
   const Chosen chosen{best(columns, Quantity::Time), best(columns, Quantity::Torque),
                       best(columns, Quantity::Position), best(columns, Quantity::Velocity),
@@ -248,7 +248,7 @@ Result<ProposedDriveModel> propose_drive_model(const std::string& path) {
         std::pair{"drive_enabled", chosen.enabled}})
     if (column != nullptr) proposed.text += line_of(key, *column);
   std::string others;
-  for (const Column& each : columns)
+  for (const NamedColumn& each : columns)
     if (!chosen.is_any(each)) others += fmt::format("# {0} = {0}\n", in_quotes(each.name));
   if (!others.empty())
     proposed.text +=

@@ -1,8 +1,11 @@
+#include <algorithm>
 #include <iterator>
 
 #include <fmt/format.h>
 
 #include "clampd/drive/model.hpp"
+#include "clampd/drive/simulation.hpp"
+#include "clampd/record/file.hpp"
 
 namespace clampd {
 namespace {
@@ -20,10 +23,17 @@ const DriveFile* file_called(const std::string& path, const DriveModel& model) {
   return found;
 }
 
-}  // namespace
+/// What is asked of a drive, not what it did: its load's place, and whether it was on.
+ColumnMap asked_columns(const DriveModel& model) {
+  ColumnMap columns = model.columns;
+  columns.drive_enabled.reset();
+  if (model.load_position) columns.others.pop_back();
+  return columns;
+}
 
-Result<LoadedRun> read_drive_run(const std::string& path, const DriveModel& model) {
-  Result<LoadedRun> loaded = read_run(path, model.columns);
+/// The regressors that are one number a file, beside those that are columns.
+Result<LoadedRun> with_values_of_file(Result<LoadedRun> loaded, const std::string& path,
+                                      const DriveModel& model) {
   std::vector<std::string> names;
   for (const DriveRegressor& regressor : model.regressors)
     if (regressor.per_file) names.push_back(regressor.name);
@@ -40,6 +50,37 @@ Result<LoadedRun> read_drive_run(const std::string& path, const DriveModel& mode
       others.insert(others.begin() + static_cast<std::ptrdiff_t>(i),
                     {model.regressors[i].name, std::vector<double>(loaded->run.size(), *value++)});
   return loaded;
+}
+
+}  // namespace
+
+Result<LoadedRun> read_drive_run(const std::string& path, const DriveModel& model) {
+  return with_values_of_file(read_run(path, model.columns), path, model);
+}
+
+Result<LoadedRun> read_drive_torque(const std::string& path, const DriveModel& model) {
+  ColumnMap columns = asked_columns(model);
+  columns.position.reset();
+  columns.velocity.reset();
+  return with_values_of_file(read_run(path, columns), path, model);
+}
+
+Result<LoadedRun> read_drive_motion(const std::string& path, const DriveModel& model) {
+  const Result<std::string> text = read_file(path);
+  if (!text) return tl::unexpected(text.error());
+  ColumnMap columns = asked_columns(model);
+  columns.torque.reset();
+  if (columns.position && columns.velocity)
+    if (const Result<TableHeader> header = find_header(*text, path); header) {
+      const auto lacks = [&](const ColumnSource& source) {
+        return std::ranges::find(header->names, source.column) == header->names.end();
+      };
+      if (lacks(*columns.velocity))
+        columns.velocity.reset();
+      else if (lacks(*columns.position))
+        columns.position.reset();
+    }
+  return with_values_of_file(parse_run(*text, path, columns), path, model);
 }
 
 }  // namespace clampd

@@ -354,7 +354,7 @@ std::vector<Column> columns_of(const ColumnMap& map) {
     columns.back().late_s = source.late_s;
   };
   add(map.time, &Run::time_s);
-  add(map.torque, &Run::torque_Nm);
+  if (map.torque) add(*map.torque, &Run::torque_Nm);
   if (map.velocity) add(*map.velocity, &Run::velocity_rad_s);
   if (map.position) add(*map.position, &Run::position_rad);
   if (map.force) add(*map.force, &Run::force_N);

@@ -143,7 +143,7 @@ TEST(FittedDriveFile, KeepsWhatASimulationNeedsBesides) {
   EXPECT_EQ(model.good_enough, before.good_enough);
   EXPECT_EQ(model.cut_off_Hz, before.cut_off_Hz);
   EXPECT_EQ(model.columns.skip_lines, 3);
-  EXPECT_EQ(model.columns.torque.offset, -0.3);
+  EXPECT_EQ(model.columns.torque->offset, -0.3);
   EXPECT_EQ(model.columns.position->wrap, 4294967296.0);
   EXPECT_EQ(model.part(DriveTerm::Inertia).value, 0.125);
   EXPECT_EQ(model.part(DriveTerm::Cogging).use, PartUse::Off);

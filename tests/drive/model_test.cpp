@@ -228,7 +228,7 @@ TEST_F(ProposedModel, IsLinearByItsUnitsAndTakesNoReferenceForTheMotion) {
   EXPECT_EQ(model->torque_unit, "N");
   EXPECT_EQ(model->columns.position->column, "x_mm");
   EXPECT_EQ(model->columns.position->scale, 1e-3);
-  EXPECT_EQ(model->columns.torque.scale, 1e3);
+  EXPECT_EQ(model->columns.torque->scale, 1e3);
 }
 
 TEST_F(ProposedModel, ErrorsSayWhatIsMissing) {

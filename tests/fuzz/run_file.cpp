@@ -32,7 +32,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   } else {
     ColumnMap columns;
     columns.time = {"t", 1e-3};
-    columns.torque = {"current", 2.5};
+    columns.torque = ColumnSource{"current", 2.5};
     columns.position = ColumnSource{"count", 7.67e-4, 8192.0};
     if (data[0] % 4 == 3) columns.velocity = ColumnSource{"speed", -1.0};
     if (data[0] % 8 > 4) columns.position->late_s = data[0] % 16 > 8 ? 2.5e-3 : -2.5e-3;

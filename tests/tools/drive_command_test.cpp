@@ -175,6 +175,39 @@ TEST_F(DriveCommands, AKnownTorqueIsPartOfThePrediction) {
   EXPECT_FALSE(std::filesystem::exists(folder_.path("residuals.csv")));
 }
 
+TEST_F(DriveCommands, ASavedModelIsSimulated) {
+  folder_.write("model.toml", kModel);
+  folder_.write("a.csv", file_of(drive_test::record(drive(3), 3)));
+  const Outcome fitted = clampctl("diagnose a.csv --model model.toml --save fitted.toml");
+  ASSERT_EQ(fitted.exit_code, 0) << fitted.output;
+  // The torque of a motion, the motion of that torque: the same motion, by the columns of the model.
+  const Outcome torque = clampctl("simulate --parameters fitted.toml --motion a.csv --out torque");
+  ASSERT_EQ(torque.exit_code, 0) << torque.output;
+  EXPECT_THAT(folder_.read("torque/a.csv"), StartsWith("t_ms,torque_mNm,counts\n"));
+  const Outcome motion = clampctl("simulate --parameters fitted.toml --torque torque/a.csv --out motion");
+  ASSERT_EQ(motion.exit_code, 0) << motion.output;
+  const Outcome predicted = clampctl("predict motion/a.csv --model fitted.toml --json -");
+  ASSERT_EQ(predicted.exit_code, 0) << predicted.output;
+  for (const auto& error : document_in(predicted.output).at("runs").at(0).at("errors"))
+    EXPECT_LT(error.at("of_standard_deviation").get<double>(), 0.02) << error;
+}
+
+TEST_F(DriveCommands, SimulateSaysWhatOfABrakeAndADriveDoesNotGoTogether) {
+  folder_.write("model.toml", kModel);
+  const std::vector<std::pair<const char*, const char*>> wrong{
+      {"simulate --out d", "--manoeuvre"},
+      {"simulate --torque a.csv --out d", "--parameters"},
+      {"simulate --manoeuvre optimal --torque a.csv --out d", "give one of them"},
+      {"simulate --parameters model.toml --torque a.csv --seed 1 --out d", "--seed"},
+      {"simulate --parameters model.toml --torque a.csv --out d", "[fitted]"},
+  };
+  for (const auto& [command, word] : wrong) {
+    const Outcome outcome = clampctl(command);
+    EXPECT_EQ(outcome.exit_code, 2) << command;
+    EXPECT_THAT(outcome.output, HasSubstr(word)) << command;
+  }
+}
+
 TEST_F(DriveCommands, WhatIsOfTheRunsOfTheFitIsSaid) {
   folder_.write("model.toml", kModel);
   std::string files;

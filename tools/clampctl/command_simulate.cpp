@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <filesystem>
 #include <memory>
 
@@ -5,8 +6,10 @@
 
 #include "clampd/bench/builtin.hpp"
 #include "clampd/bench/prepared_station.hpp"
+#include "clampd/drive/simulation.hpp"
 #include "clampd/experiment/manoeuvres.hpp"
 #include "clampd/experiment/reference.hpp"
+#include "clampd/record/file.hpp"
 #include "clampd/record/run.hpp"
 #include "clampd/simulation/saved_model.hpp"
 #include "clampd/simulation/simulate.hpp"
@@ -26,11 +29,34 @@ struct SimulateOptions {
   std::string manoeuvre;
   std::string plant;
   std::string trajectory;
+  std::vector<std::string> torques, motions;  ///< of a drive: run files to begin with
+  double position = 0.0;                      ///< at which it begins
   std::vector<std::string> effects;
   std::optional<std::uint64_t> seed;
   std::uint16_t repeats = 1;
   std::string folder;
 };
+
+/// Whether these are options of a simulated brake or of a drive; the words say what is missing.
+Result<void> check_kind(const SimulateOptions& options) {
+  const bool input = !options.torques.empty() || !options.motions.empty();
+  if (!input && options.manoeuvre.empty())
+    return failure(
+        "say what is to be simulated: a brake with --manoeuvre, or a drive with --parameters DRIVE.toml and "
+        "--torque or --motion");
+  if (input && !options.manoeuvre.empty())
+    return failure("--manoeuvre is driven by a brake, --torque and --motion by a drive: give one of them");
+  if (input && options.plant.empty())
+    return failure(
+        "--torque and --motion need the drive: --parameters MODEL.toml, as `clampctl diagnose --save` wrote "
+        "it");
+  if (input &&
+      (!options.effects.empty() || options.seed || options.repeats != 1 || !options.trajectory.empty()))
+    return failure(
+        "--effect, --seed, --repeats and --trajectory are for a simulated brake: a drive is simulated by its "
+        "saved model, without noise");
+  return {};
+}
 
 /// Of a manoeuvre's own: two manoeuvres with the same noise, row by row, would look like one brake that errs
 /// in the same places. FNV-1a.
@@ -86,7 +112,65 @@ Result<void> write_runs(const std::vector<Run>& runs, const SimulateOptions& opt
   return {};
 }
 
+/// A run file, and what it becomes.
+struct SimulatedFile {
+  std::string path, text;
+};
+
+Result<SimulatedFile> simulate_drive_file(const std::string& file, bool motion, const FittedDrive& drive,
+                                          const SimulateOptions& options) {
+  const Result<LoadedRun> loaded =
+      motion ? read_drive_motion(file, drive.model) : read_drive_torque(file, drive.model);
+  if (!loaded) return tl::unexpected(loaded.error());
+  for (const std::string& notice : loaded->notices) cli::print_notice(notice);
+  const Result<Run> run = motion ? simulate_drive_torque(loaded->run, drive)
+                                 : simulate_drive_motion(loaded->run, drive, options.position);
+  if (!run) return tl::unexpected(run.error());
+  const fs::path path = fs::path(options.folder) / fs::path(file).filename().replace_extension(".csv");
+  return SimulatedFile{path.string(), format_drive_run(*run, drive.model)};
+}
+
+/// All files are simulated before the first is written.
+int simulate_drive(const SimulateOptions& options) {
+  const Result<FittedDrive> drive = read_fitted_drive(options.plant);
+  if (!drive) return cli::refuse(drive.error());
+  if (const std::vector<std::string> terms = terms_of_runs(*drive); !terms.empty())
+    cli::print_notice(fmt::format("{}: {} {} a value for each run that was fitted; the first one's is taken",
+                                  options.plant, fmt::join(terms, ", "), terms.size() == 1 ? "has" : "have"));
+  std::vector<SimulatedFile> files;
+  for (const bool motion : {false, true})
+    for (const std::string& file : motion ? options.motions : options.torques) {
+      Result<SimulatedFile> simulated = simulate_drive_file(file, motion, *drive, options);
+      if (!simulated) return cli::refuse(simulated.error());
+      files.push_back(std::move(*simulated));
+    }
+  std::vector<std::string> read{options.plant};
+  for (const auto& names : {options.torques, options.motions})
+    read.insert(read.end(), names.begin(), names.end());
+  std::vector<cli::OutputOption> outputs;
+  for (const SimulatedFile& file : files) {
+    if (std::ranges::find(outputs, file.path, &cli::OutputOption::path) != outputs.end())
+      return cli::refuse(
+          {fmt::format("two of the runs would become {}; simulate them into different folders", file.path)});
+    outputs.push_back({"--out", file.path});
+  }
+  std::error_code failed;
+  fs::create_directories(options.folder, failed);
+  if (failed)
+    return cli::refuse({fmt::format("cannot create the folder {}: {}; name another with --out",
+                                    options.folder, failed.message())});
+  if (const Result<void> checked = cli::check_outputs(outputs, read); !checked)
+    return cli::refuse(checked.error());
+  for (const SimulatedFile& file : files)
+    if (const Result<void> written = write_file_atomically(file.path, file.text); !written)
+      return cli::refuse(written.error());
+  fmt::print("{} run{} in {}\n", files.size(), files.size() == 1 ? "" : "s", options.folder);
+  return cli::kSuccess;
+}
+
 int simulate(const SimulateOptions& options) {
+  if (const Result<void> checked = check_kind(options); !checked) return cli::refuse(checked.error());
+  if (options.manoeuvre.empty()) return simulate_drive(options);
   const Result<sim::PlantConfiguration> plant = plant_configuration(options);
   if (!plant) return cli::refuse(plant.error());
   const Result<LoadedRun> optimal =
@@ -138,14 +222,25 @@ std::string effect_help() {
 
 void add_simulate_command(CLI::App& app, int& exit_code) {
   auto options = std::make_shared<SimulateOptions>();
-  CLI::App* command = app.add_subcommand(
-      "simulate", "run files from the simulated brake, driven by the station's own controller");
-  command->add_option("--manoeuvre", options->manoeuvre, manoeuvre_help())->required();
+  CLI::App* command = app.add_subcommand("simulate",
+                                         "run files from the simulated brake, driven by the station's own "
+                                         "controller, or from the saved model of "
+                                         "a drive");
+  command->add_option("--manoeuvre", options->manoeuvre, manoeuvre_help());
   command
       ->add_option("--parameters", options->plant,
                    "the simulated brake, or a model that `clampctl diagnose --save` "
-                   "wrote (default: nominal, with noise)")
+                   "wrote of a brake or of a drive (default: a nominal brake, with noise)")
       ->type_name("PLANT.toml");
+  command
+      ->add_option("--torque", options->torques,
+                   "of a drive: run files whose torque drives it, from rest; its motion is simulated")
+      ->type_name("RUN.csv");
+  command->add_option("--position", options->position, "of a drive: where it begins (default: 0)");
+  command
+      ->add_option("--motion", options->motions,
+                   "of a drive: run files whose motion it makes; the torque for it is computed")
+      ->type_name("RUN.csv");
   command
       ->add_option("--trajectory", options->trajectory, "what `optimal` drives (default: the one that ships)")
       ->type_name("TRAJ.csv");
@@ -154,7 +249,9 @@ void add_simulate_command(CLI::App& app, int& exit_code) {
   command->add_option("--repeats", options->repeats, "how many runs")
       ->check(CLI::Range(1, 1000))
       ->capture_default_str();
-  command->add_option("--out", options->folder, "folder for MANOEUVRE-001.csv and so on")
+  command
+      ->add_option("--out", options->folder,
+                   "folder for MANOEUVRE-001.csv and so on, or for a drive's runs by their own names")
       ->required()
       ->type_name("DIR");
   command->callback([options, &exit_code] { exit_code = simulate(*options); });

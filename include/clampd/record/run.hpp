@@ -83,7 +83,7 @@ struct ColumnSource {
 /// The columns of a foreign file. What is absent leaves its array in the run empty.
 struct ColumnMap {
   ColumnSource time{"time_s"};
-  ColumnSource torque{"torque_Nm"};
+  std::optional<ColumnSource> torque{ColumnSource{"torque_Nm"}};
   std::optional<ColumnSource> velocity;
   std::optional<ColumnSource> position;
   std::optional<ColumnSource> force;
