@@ -244,7 +244,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"archive", {"record", "base"}},
       {"publish", {"archive", "record", "base"}},
       {"line", {"archive", "station", "record", "statistics", "base"}},
-      {"views", {"line", "archive", "station", "drive", "diagnose", "record", "base"}},
+      {"views", {"line", "archive", "station", "drive", "diagnose", "brake", "record", "base"}},
       {"rt", {"control", "ports", "record", "base"}},
       {"drivers/can", {"ports", "record", "base"}},
       {"drivers/gpio", {"ports", "record", "base"}},
