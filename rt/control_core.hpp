@@ -251,24 +251,17 @@ class BasicControlCore {
 
  private:
   void begin(std::int64_t now_ns, std::uint64_t skipped_periods) noexcept {
-    TickInputs inputs{.now_ns = now_ns,
-                      .skipped_periods = skipped_periods,
-                      .health = port_.health(),
-                      .interlocks = {},
-                      .operator_stop = false,
-                      .clear = false};
     // While the loop itself stood still, the panel had no chance either: only its silence beside a running
     // loop counts.
     const std::int64_t missed_ns = static_cast<std::int64_t>(skipped_periods) * kPeriod_ns;
-    if (interlocks_ != nullptr) inputs.interlocks = interlocks_->read(now_ns - missed_ns);
+    TickInputs inputs{
+        .now_ns = now_ns,
+        .skipped_periods = skipped_periods,
+        .health = port_.health(),
+        .interlocks = interlocks_ != nullptr ? interlocks_->read(now_ns - missed_ns) : Interlocks{},
+        .operator_stop = take_stops(),
+        .clear = take_clear()};
     if (requests_.emergency_stop.load(std::memory_order_acquire)) inputs.interlocks.emergency_stop = true;
-    const std::uint64_t stops = requests_.stops.load(std::memory_order_acquire);
-    inputs.operator_stop = stops != stops_taken_;
-    stops_taken_ = stops;
-    // Looked at before it is taken: an exchange in every tick would be its one locked operation. Only the
-    // loop takes it.
-    inputs.clear = requests_.clear.load(std::memory_order_acquire) &&
-                   requests_.clear.exchange(false, std::memory_order_acq_rel);
     // Before the clear is looked at: a plan from before the fault was cleared must not start after it.
     if (supervisor_.state() == StationState::Fault &&
         requests_.plan.load(std::memory_order_acquire) != nullptr)
@@ -277,6 +270,19 @@ class BasicControlCore {
     if (plan_ != nullptr && now_ns - armed_ns_ > deadline_ns_) supervisor_.raise(FaultCause::DeadlinePassed);
     health_.store(inputs.health);
     port_lost_samples_ = inputs.health.lost_samples;
+  }
+
+  bool take_stops() noexcept {
+    const std::uint64_t before = stops_taken_;
+    stops_taken_ = requests_.stops.load(std::memory_order_acquire);
+    return stops_taken_ != before;
+  }
+
+  // Looked at before it is taken: an exchange in every tick would be its one locked operation. Only the loop
+  // takes it.
+  bool take_clear() noexcept {
+    return requests_.clear.load(std::memory_order_acquire) &&
+           requests_.clear.exchange(false, std::memory_order_acq_rel);
   }
 
   void take(const BrakeFeedback& feedback, Sample& sample, std::int64_t now_ns,
@@ -426,6 +432,15 @@ class BasicControlCore {
 
   void publish_state() noexcept {
     const bool in_fault = supervisor_.state() == StationState::Fault;
+    if (in_fault || supervisor_.fault_time_ns() != status_.fault_time_ns.load(std::memory_order_relaxed) ||
+        was_in_fault_)
+      publish_fault(in_fault);
+    status_.state.store(supervisor_.state(), std::memory_order_release);
+    status_.checks_finished.store(finished_, std::memory_order_release);
+    status_.stops.store(stops_taken_, std::memory_order_release);
+  }
+
+  void publish_fault(bool in_fault) noexcept {
     if (in_fault != was_in_fault_) ++fault_changes_;
     was_in_fault_ = in_fault;
     status_.fault.store(supervisor_.fault(), std::memory_order_relaxed);
@@ -433,9 +448,6 @@ class BasicControlCore {
     status_.fault_changes.store(fault_changes_, std::memory_order_release);
     status_.fault_state.store(supervisor_.fault_state(), std::memory_order_relaxed);
     status_.clearable.store(supervisor_.clearable(), std::memory_order_relaxed);
-    status_.state.store(supervisor_.state(), std::memory_order_release);
-    status_.checks_finished.store(finished_, std::memory_order_release);
-    status_.stops.store(stops_taken_, std::memory_order_release);
   }
 
   // With one writer a load and a store suffice.
