@@ -107,8 +107,8 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
     const std::int64_t gap = feedback.sample_index - index_ - 1;
     if (gap > kMaxGap)
       observer_.reset({.position_rad = feedback.position_rad});
-    else if (gap > 0)
-      observer_.predict(plan_->drive, last_.torque_Nm, force_N_, static_cast<int>(gap));
+    else
+      for (std::int64_t i = 0; i < gap; ++i) observer_.predict(plan_->drive, last_.torque_Nm, force_N_);
   }
   index_ = feedback.sample_index;
   observer_.correct(feedback.position_rad, velocity_rad_s);
@@ -116,7 +116,7 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
   const ForcePair& pair = median_pair({force_N_, feedback.position_rad});
   smooth_force_N_ += 0.3 * (pair.force_N - smooth_force_N_);
   if (contact_known_) stiffness_.learn(pair.position_rad, pair.force_N, observer_.velocity_rad_s());
-  observer_.predict(plan_->drive, feedback.torque_Nm, std::max(0.0, force_N_), 1);
+  observer_.predict(plan_->drive, feedback.torque_Nm, std::max(0.0, force_N_));
 
   last_.phase = phase();
   last_.repeat = repeat_;

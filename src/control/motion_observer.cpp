@@ -54,8 +54,7 @@ void MotionObserver::correct(double position_rad, double velocity_rad_s) noexcep
   covariance_ = c;
 }
 
-void MotionObserver::predict(const NominalDrive& drive, double torque_Nm, double force_N,
-                             int periods) noexcept {
+void MotionObserver::predict(const NominalDrive& drive, double torque_Nm, double force_N) noexcept {
   constexpr double kStep_s = kPeriod_s / kSubsteps;
   const double per_inertia = 1.0 / drive.inertia_kg_m2;
   const double push_rad_s = kStep_s * per_inertia * (torque_Nm - drive.ratio_m_rad * force_N);
@@ -64,36 +63,36 @@ void MotionObserver::predict(const NominalDrive& drive, double torque_Nm, double
   DryFriction friction = drive.dry_friction(force_N);
   friction.coulomb_Nm = kStep_s * per_inertia * (friction.coulomb_Nm + state_.friction_excess_Nm);
   friction.beyond_coulomb_Nm *= kStep_s * per_inertia;
+  const double before_rad_s = state_.velocity_rad_s;
+  double velocity_rad_s = before_rad_s, sum_rad_s = 0.5 * before_rad_s;
+  for (int i = 0; i < kSubsteps; ++i) {
+    const double holds_rad_s = std::max(friction.torque_Nm(velocity_rad_s), 0.0);
+    const double free_rad_s = velocity_rad_s + push_rad_s;
+    velocity_rad_s = (free_rad_s - std::max(std::min(free_rad_s, holds_rad_s), -holds_rad_s)) * drag;
+    sum_rad_s += velocity_rad_s;
+  }
+  state_.velocity_rad_s = velocity_rad_s;
+  state_.position_rad += kStep_s * (sum_rad_s - 0.5 * velocity_rad_s);
+  Covariance c = covariance_;
+  // At rest friction balances whatever acts: then neither velocity nor friction excess have an influence.
+  const bool slides = velocity_rad_s != 0.0;
+  if (!slides && before_rad_s == 0.0) c.pv = c.vv = c.vf = 0.0;
   // By how much 1 N m changes the velocity in a period, and what that is worth of the torque's variance.
   const double gain = kPeriod_s * per_inertia, kick = gain * gain * kTorqueVariance_Nm2;
-  Covariance& c = covariance_;
-  for (int period = 0; period < periods; ++period) {
-    const double before_rad_s = state_.velocity_rad_s;
-    double sum_rad_s = 0.5 * before_rad_s;
-    for (int i = 0; i < kSubsteps; ++i) {
-      const double holds_rad_s = std::max(0.0, friction.torque_Nm(state_.velocity_rad_s));
-      const double free_rad_s = state_.velocity_rad_s + push_rad_s;
-      state_.velocity_rad_s = (free_rad_s - std::clamp(free_rad_s, -holds_rad_s, holds_rad_s)) * drag;
-      sum_rad_s += state_.velocity_rad_s;
-    }
-    state_.position_rad += kStep_s * (sum_rad_s - 0.5 * state_.velocity_rad_s);
-    // At rest friction balances whatever acts: then neither velocity nor friction excess have an influence.
-    const bool slides = state_.velocity_rad_s != 0.0;
-    if (!slides && before_rad_s == 0.0) c.pv = c.vv = c.vf = 0.0;
-    // T P T' + Q with T = (1 dt x; 0 1 v; 0 0 1), where v and x are what 1 N m of friction does to velocity
-    // and position.
-    const double v = slides ? std::copysign(gain, -state_.velocity_rad_s) : 0.0;
-    const double x = 0.5 * kPeriod_s * v;
-    const double pv = c.pv + kPeriod_s * c.vv + x * c.vf;
-    const double pf = c.pf + kPeriod_s * c.vf + x * c.ff;
-    const double vf = c.vf + v * c.ff;
-    c.pp += kPeriod_s * (c.pv + pv) + x * (c.pf + pf) + 0.25 * kPeriod_s * kPeriod_s * kick;
-    c.pv = pv + v * pf + 0.5 * kPeriod_s * kick;
-    c.pf = pf;
-    c.vv += v * (c.vf + vf) + kick;
-    c.vf = vf;
-    if (slides) c.ff = std::min(c.ff + kFrictionStepVariance_Nm2, kFrictionLimit_Nm);
-  }
+  // T P T' + Q with T = (1 dt x; 0 1 v; 0 0 1), where v and x are what 1 N m of friction does to velocity
+  // and position.
+  const double v = slides ? std::copysign(gain, -velocity_rad_s) : 0.0;
+  const double x = 0.5 * kPeriod_s * v;
+  const double pv = c.pv + kPeriod_s * c.vv + x * c.vf;
+  const double pf = c.pf + kPeriod_s * c.vf + x * c.ff;
+  const double vf = c.vf + v * c.ff;
+  c.pp += kPeriod_s * (c.pv + pv) + x * (c.pf + pf) + 0.25 * kPeriod_s * kPeriod_s * kick;
+  c.pv = pv + v * pf + 0.5 * kPeriod_s * kick;
+  c.pf = pf;
+  c.vv += v * (c.vf + vf) + kick;
+  c.vf = vf;
+  if (slides) c.ff = std::min(c.ff + kFrictionStepVariance_Nm2, kFrictionLimit_Nm);
+  covariance_ = c;
 }
 
 }  // namespace clampd

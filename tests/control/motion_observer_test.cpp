@@ -28,7 +28,7 @@ TEST(MotionObserver, LearnsWhatTheFrictionExceedsTheNominalOneBy) {
   observer.reset({.position_rad = position_rad});
   for (int k = 0; k < 400; ++k) {
     const double torque_Nm = 0.7;  // it slides one way throughout
-    observer.predict(drive, torque_Nm, kForce_N, 1);
+    observer.predict(drive, torque_Nm, kForce_N);
     for (int i = 0; i < 100; ++i) {
       const double friction_Nm = drive.dry_friction_Nm(velocity_rad_s, kForce_N) + kExcess_Nm +
                                  drive.viscous_Nm_s_rad * velocity_rad_s;

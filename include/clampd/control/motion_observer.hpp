@@ -24,9 +24,9 @@ class MotionObserver {
   CLAMPD_REALTIME void reset(const MotionState& known) noexcept;
   /// A reading of the sample that was predicted last.
   CLAMPD_REALTIME void correct(double position_rad, double velocity_rad_s) noexcept;
-  /// From the sample just corrected to the one `periods` later: `torque_Nm` and `force_N` act meanwhile.
-  CLAMPD_REALTIME void predict(const NominalDrive& drive, double torque_Nm, double force_N,
-                               int periods) noexcept;
+  /// From the sample just corrected to the next one: `torque_Nm` and `force_N` act meanwhile. Again for each
+  /// sample that is missing.
+  CLAMPD_REALTIME void predict(const NominalDrive& drive, double torque_Nm, double force_N) noexcept;
 
   CLAMPD_REALTIME double position_rad() const noexcept { return state_.position_rad; }
   CLAMPD_REALTIME double velocity_rad_s() const noexcept { return state_.velocity_rad_s; }
