@@ -52,6 +52,16 @@ double median_of(const std::array<double, 5>& values) noexcept {
   return std::max(std::min(lower, upper), std::min(std::max(lower, upper), e));
 }
 
+/// Of each of the two: b where one is no number.
+template <class Pair>
+inline Pair larger(Pair a, Pair b) noexcept {
+  return a > b ? a : b;
+}
+template <class Pair>
+inline Pair smaller(Pair a, Pair b) noexcept {
+  return a < b ? a : b;
+}
+
 }  // namespace
 
 void RepeatWatch::learn() noexcept {
@@ -137,8 +147,8 @@ void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {
   torques_Nm_.fill(feedback.torque_Nm);
   forces_N_.fill(feedback.force_N);
   force_N_ = feedback.force_N;
-  by_velocity_ = {feedback.velocity_rad_s, {}, 0.0};
-  by_position_ = {feedback.velocity_rad_s, {}, 0.0};
+  momentum_ = {};
+  momentum_.before_rad_s += feedback.velocity_rad_s;
   torque_excess_Nm_ = position_excess_rad_ = unanswered_N_ = 0.0;
   force_excess_N_ = {};
   settling_ = kHistory;
@@ -177,29 +187,38 @@ inline ReadingMonitor::Drivers ReadingMonitor::drivers(double elapsed_s, bool st
           stop_ahead};
 }
 
-inline double ReadingMonitor::compare_momentum(Momentum& momentum, const Drivers& drivers,
-                                               double velocity_rad_s) noexcept {
-  const double before_rad_s = momentum.before_rad_s;
-  momentum.before_rad_s = velocity_rad_s;
-  const double slower_rad_s = std::min(std::abs(velocity_rad_s), std::abs(before_rad_s));
-  const double faster_rad_s = std::max(std::abs(velocity_rad_s), std::abs(before_rad_s));
-  const bool forward = std::min(velocity_rad_s, before_rad_s) > kSurelyMoving_rad_s;
-  const bool backward = std::max(velocity_rad_s, before_rad_s) < -kSurelyMoving_rad_s;
+inline ReadingMonitor::Pair ReadingMonitor::compare_momentum(const Drivers& drivers,
+                                                             Pair velocity_rad_s) noexcept {
+  constexpr Pair kZero{};
+  const Pair before_rad_s = momentum_.before_rad_s;
+  momentum_.before_rad_s = velocity_rad_s;
+  const Pair speed_rad_s = larger(velocity_rad_s, -velocity_rad_s);
+  const Pair speed_before_rad_s = larger(before_rad_s, -before_rad_s);
+  const Pair slower_rad_s = smaller(speed_rad_s, speed_before_rad_s);
+  const Pair faster_rad_s = larger(speed_rad_s, speed_before_rad_s);
+  const auto forward = smaller(velocity_rad_s, before_rad_s) > kSurelyMoving_rad_s;
+  const auto backward = larger(velocity_rad_s, before_rad_s) < -kSurelyMoving_rad_s;
 
-  const double friction_Nm =
-      drivers.friction.torque_Nm(slower_rad_s) + bounds_.viscous_Nm_s_rad * faster_rad_s;
-  const double most_Nm = drivers.torque_Nm.upper + (forward ? 0.0 : friction_Nm);
-  const double least_Nm = drivers.torque_Nm.lower - (backward ? 0.0 : friction_Nm);
+  const DryFriction& dry = drivers.friction;
+  const Pair friction_Nm =
+      dry.coulomb_Nm + dry.beyond_coulomb_Nm / (1.0 + slower_rad_s * slower_rad_s * dry.stribeck_s2_rad2) +
+      bounds_.viscous_Nm_s_rad * faster_rad_s;
+  const Pair most_Nm = drivers.torque_Nm.upper + (forward ? kZero : friction_Nm);
+  const Pair least_Nm = drivers.torque_Nm.lower - (backward ? kZero : friction_Nm);
   const double light = drivers.elapsed_s * bounds_.light_per_kg_m2,
                heavy = drivers.elapsed_s * bounds_.heavy_per_kg_m2;
-  const Interval change_rad_s{std::min(least_Nm * light, least_Nm * heavy),
-                              std::max(most_Nm * light, most_Nm * heavy)};
+  const Pair lower_rad_s = smaller(least_Nm * light, least_Nm * heavy);
+  const Pair upper_rad_s = larger(most_Nm * light, most_Nm * heavy);
 
-  momentum.excess_rad_s.add(velocity_rad_s - before_rad_s, change_rad_s, kForgetSlow);
+  const Pair change_rad_s = velocity_rad_s - before_rad_s;
+  Pair above_rad_s = larger(kForgetSlow * momentum_.above_rad_s + change_rad_s - upper_rad_s, kZero);
+  const Pair below_rad_s = larger(kForgetSlow * momentum_.below_rad_s - change_rad_s + lower_rad_s, kZero);
   // The stop holds what opens; it turns nothing round.
-  if (drivers.stop_ahead && velocity_rad_s < kSurelyMoving_rad_s) momentum.excess_rad_s.above = 0.0;
-  const double level = momentum.excess_rad_s.larger() / tolerances_.velocity_rad_s;
-  momentum.peak = std::max(kForgetSlow * momentum.peak, level);
+  if (drivers.stop_ahead) above_rad_s = velocity_rad_s < kSurelyMoving_rad_s ? kZero : above_rad_s;
+  momentum_.above_rad_s = above_rad_s;
+  momentum_.below_rad_s = below_rad_s;
+  const Pair level = larger(above_rad_s, below_rad_s) / tolerances_.velocity_rad_s;
+  momentum_.peak = larger(kForgetSlow * momentum_.peak, level);
   return level;
 }
 
@@ -258,7 +277,8 @@ bool ReadingMonitor::encoder_stands_still() const noexcept {
 FaultCause ReadingMonitor::position_or_velocity() const noexcept {
   if (position_repeats_.repeats() >= kStill) return FaultCause::PositionReading;
   if (velocity_repeats_.repeats() >= kStill) return FaultCause::VelocityReading;
-  return by_position_.peak > by_velocity_.peak ? FaultCause::PositionReading : FaultCause::VelocityReading;
+  return momentum_.peak[kDifferentiated] > momentum_.peak[kRead] ? FaultCause::PositionReading
+                                                                 : FaultCause::VelocityReading;
 }
 
 FaultCause ReadingMonitor::verdict(const Levels& levels) const noexcept {
@@ -272,7 +292,7 @@ FaultCause ReadingMonitor::verdict(const Levels& levels) const noexcept {
     if (encoder_stands_still()) return FaultCause::TorqueAgainstMotion;
     if (levels.position > kHint) return position_or_velocity();
     // Position and velocity agree and move: what resists is a force that the reading does not show.
-    const bool resisted = by_velocity_.excess_rad_s.below > by_velocity_.excess_rad_s.above;
+    const bool resisted = momentum_.below_rad_s[kRead] > momentum_.above_rad_s[kRead];
     return levels.force > kHint || (resisted && common_speed_rad_s_ > 1.0) ? FaultCause::ForceReading
                                                                            : FaultCause::TorqueAgainstMotion;
   }
@@ -280,8 +300,9 @@ FaultCause ReadingMonitor::verdict(const Levels& levels) const noexcept {
   if (levels.force_stuck) return FaultCause::ForceReading;
   if (levels.force >= 1.0 || levels.compression >= 1.0) {
     if (encoder_stands_still()) return FaultCause::TorqueAgainstMotion;
-    return levels.position > kHint && by_position_.peak > by_velocity_.peak ? FaultCause::PositionReading
-                                                                            : FaultCause::ForceReading;
+    return levels.position > kHint && momentum_.peak[kDifferentiated] > momentum_.peak[kRead]
+               ? FaultCause::PositionReading
+               : FaultCause::ForceReading;
   }
   return FaultCause::None;
 }
@@ -300,8 +321,10 @@ FaultCause ReadingMonitor::observe(const BrakeFeedback& feedback, const ReadingC
   levels.compression = compare_compression(feedback.position_rad, context);
   levels.position = compare_position(feedback.velocity_rad_s, step_rad, elapsed_s);
   const Drivers drivers = this->drivers(elapsed_s, context.stop_ahead);
-  levels.by_velocity = compare_momentum(by_velocity_, drivers, feedback.velocity_rad_s);
-  levels.by_position = compare_momentum(by_position_, drivers, step_rad / elapsed_s);
+  const Pair velocities_rad_s{feedback.velocity_rad_s, step_rad / elapsed_s};
+  const Pair by_motion = compare_momentum(drivers, velocities_rad_s);
+  levels.by_velocity = by_motion[kRead];
+  levels.by_position = by_motion[kDifferentiated];
   levels.torque = compare_torque(feedback.torque_Nm, static_cast<double>(samples));
   levels.velocity_stuck = velocity_repeats_.repeats_too_often(feedback.velocity_rad_s, context.at_rest);
   levels.force_stuck = force_repeats_.repeats_too_often(feedback.force_N, context.at_rest) ||

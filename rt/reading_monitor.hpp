@@ -145,11 +145,16 @@ class ReadingMonitor {
     double larger() const noexcept { return std::max(above, below); }
   };
 
-  /// One velocity, read or differentiated, against the torque.
+  /// The same of two velocities at once: the one that is read, and the one that the position's differences
+  /// give. Two at a time cost as much as one.
+  using Pair = double __attribute__((vector_size(16)));
+  static constexpr int kRead = 0, kDifferentiated = 1;
+
+  /// Two velocities against the torque.
   struct Momentum {
-    double before_rad_s = 0.0;
-    Excess excess_rad_s;
-    double peak = 0.0;  ///< of its level, forgotten slowly
+    Pair before_rad_s{};
+    Pair above_rad_s{}, below_rad_s{};  ///< excess to either side, as in Excess
+    Pair peak{};                        ///< of their levels, forgotten slowly
   };
 
   /// What moves the motor in one sample.
@@ -175,7 +180,7 @@ class ReadingMonitor {
   void begin_at(const BrakeFeedback& feedback) noexcept;
   double compare_torque(double reading_Nm, double samples) noexcept;
   Drivers drivers(double elapsed_s, bool stop_ahead) const noexcept;
-  double compare_momentum(Momentum& momentum, const Drivers& drivers, double velocity_rad_s) noexcept;
+  Pair compare_momentum(const Drivers& drivers, Pair velocity_rad_s) noexcept;
   double compare_position(double velocity_rad_s, double step_rad, double elapsed_s) noexcept;
   double compare_force(double reading_N, double step_rad) noexcept;
   double compare_compression(double position_rad, const ReadingContext& context) const noexcept;
@@ -201,8 +206,7 @@ class ReadingMonitor {
   double force_rate_N_ = 0.0;         ///< change of force a sample that the motion explains, lately
   double unanswered_N_ = 0.0;         ///< change of force that was due while the reading repeated
   Excess force_excess_N_;
-  Momentum by_velocity_;
-  Momentum by_position_;
+  Momentum momentum_;
   RepeatWatch velocity_repeats_;
   RepeatWatch force_repeats_;
   RepeatWatch position_repeats_;
