@@ -82,7 +82,9 @@ TEST(DriveSimulation, TheTorqueIsAskedForBeforeItHasToAct) {
   const DriveRun asked = *simulate_drive_torque(to_and_fro(), slow);
   const std::vector<double> follows = settled(asked.time_s, asked.torque_Nm, slow.settling_s);
   for (std::size_t k = 100; k < follows.size(); ++k)
-    if (std::abs(acting.velocity_rad_s[k]) > 1.0) ASSERT_NEAR(follows[k], acting.torque_Nm[k], 0.01) << k;
+    if (std::abs(acting.velocity_rad_s[k]) > 1.0) {
+      ASSERT_NEAR(follows[k], acting.torque_Nm[k], 0.01) << k;
+    }
 }
 
 TEST(DriveSimulation, ADriveThatIsHeldStaysWhereFrictionHoldsIt) {
