@@ -78,6 +78,9 @@ std::string format_effects() {
       "(clampctl diagnose RUN.csv... --model DRIVE.toml)\n\n";
   for_each_drive_effect(
       [&](DriveTerm term) { text += fmt::format("  {:<20} {}\n", called(term), words_of(term, "torque")); });
+  text +=
+      "\nWhere motor and load are both recorded (columns.load_position), the data also show the play of the\n"
+      "gear: gear-backlash, gear-compliance, or gear-play where the two cannot be told apart.\n";
   return text;
 }
 
