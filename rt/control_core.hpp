@@ -432,6 +432,7 @@ class BasicControlCore {
 
   void publish_state() noexcept {
     const bool in_fault = supervisor_.state() == StationState::Fault;
+    // Outside of a fault nothing of it changes: the healthy tick saves these stores.
     if (in_fault || supervisor_.fault_time_ns() != status_.fault_time_ns.load(std::memory_order_relaxed) ||
         was_in_fault_)
       publish_fault(in_fault);

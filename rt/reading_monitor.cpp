@@ -199,10 +199,7 @@ inline ReadingMonitor::Pair ReadingMonitor::compare_momentum(const Drivers& driv
   const auto forward = smaller(velocity_rad_s, before_rad_s) > kSurelyMoving_rad_s;
   const auto backward = larger(velocity_rad_s, before_rad_s) < -kSurelyMoving_rad_s;
 
-  const DryFriction& dry = drivers.friction;
-  const Pair friction_Nm =
-      dry.coulomb_Nm + dry.beyond_coulomb_Nm / (1.0 + slower_rad_s * slower_rad_s * dry.stribeck_s2_rad2) +
-      bounds_.viscous_Nm_s_rad * faster_rad_s;
+  const Pair friction_Nm = drivers.friction.torque_Nm(slower_rad_s) + bounds_.viscous_Nm_s_rad * faster_rad_s;
   const Pair most_Nm = drivers.torque_Nm.upper + (forward ? kZero : friction_Nm);
   const Pair least_Nm = drivers.torque_Nm.lower - (backward ? kZero : friction_Nm);
   const double light = drivers.elapsed_s * bounds_.light_per_kg_m2,

@@ -9,7 +9,7 @@
 
 namespace clampd::drive {
 
-/// What moves. `sign` is that of the last motion, and `reversal` where it began.
+/// What moves. `sign` is that of the last motion, `travel` what it has gone since its last reversal.
 struct Motion {
   double position = 0.0, velocity = 0.0;
   double sign = 0.0, travel = std::numeric_limits<double>::infinity();

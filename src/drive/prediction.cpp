@@ -14,7 +14,7 @@
 namespace clampd {
 namespace {
 
-constexpr std::size_t kFewestRows = 10;
+constexpr std::size_t kRowsOfAStart = 5;
 using drive::ForwardSimulation;
 using drive::Motion;
 
@@ -27,9 +27,9 @@ Motion motion_at(const Run& run, std::size_t row, double half_width_s) {
   std::size_t first = row, last = row + 1;
   while (first > 0 && run.time_s[row] - run.time_s[first - 1] <= half_width_s) --first;
   while (last < run.size() &&
-         (last < first + kFewestRows / 2 || run.time_s[last] - run.time_s[row] <= half_width_s))
+         (last < first + kRowsOfAStart || run.time_s[last] - run.time_s[row] <= half_width_s))
     ++last;
-  while (first > 0 && last - first < kFewestRows / 2) --first;
+  while (first > 0 && last - first < kRowsOfAStart) --first;
   const auto n = static_cast<Eigen::Index>(last - first);
   Eigen::MatrixXd columns(n, 3);
   Eigen::VectorXd target(n);

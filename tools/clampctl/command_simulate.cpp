@@ -91,31 +91,43 @@ Result<sim::PlantConfiguration> plant_configuration(const SimulateOptions& optio
   return plant;
 }
 
-/// All or none: what was written before a failure is removed again.
-Result<void> write_runs(const std::vector<Run>& runs, const SimulateOptions& options) {
-  std::error_code failed;
-  const bool existed = fs::exists(options.folder, failed);
-  fs::create_directories(options.folder, failed);
-  if (failed)
-    return failure(fmt::format("cannot create the folder {}: {}; name another with --out", options.folder,
-                               failed.message()));
-  std::vector<fs::path> written;
-  for (std::size_t i = 0; i < runs.size(); ++i) {
-    const fs::path file = fs::path(options.folder) / fmt::format("{}-{:03}.csv", options.manoeuvre, i + 1);
-    if (const Result<void> done = write_run(file.string(), runs[i]); !done) {
-      for (const fs::path& earlier : written) fs::remove(earlier, failed);
-      if (!existed) fs::remove(options.folder, failed);
-      return done;
-    }
-    written.push_back(file);
-  }
-  return {};
-}
-
-/// A run file, and what it becomes.
 struct SimulatedFile {
   std::string path, text;
 };
+
+Result<void> create_folder(const std::string& folder) {
+  std::error_code failed;
+  fs::create_directories(folder, failed);
+  if (failed)
+    return failure(
+        fmt::format("cannot create the folder {}: {}; name another with --out", folder, failed.message()));
+  return {};
+}
+
+/// All or none: what was written before a failure is removed again.
+Result<void> write_files(const std::vector<SimulatedFile>& files) {
+  for (std::size_t i = 0; i < files.size(); ++i)
+    if (const Result<void> done = write_file_atomically(files[i].path, files[i].text); !done) {
+      std::error_code failed;
+      for (std::size_t k = 0; k < i; ++k) fs::remove(files[k].path, failed);
+      return done;
+    }
+  return {};
+}
+
+Result<void> write_runs(const std::vector<Run>& runs, const SimulateOptions& options) {
+  std::error_code failed;
+  const bool existed = fs::exists(options.folder, failed);
+  if (Result<void> created = create_folder(options.folder); !created) return created;
+  std::vector<SimulatedFile> files;
+  for (std::size_t i = 0; i < runs.size(); ++i) {
+    const fs::path file = fs::path(options.folder) / fmt::format("{}-{:03}.csv", options.manoeuvre, i + 1);
+    files.push_back({file.string(), format_run(runs[i])});
+  }
+  const Result<void> written = write_files(files);
+  if (!written && !existed) fs::remove(options.folder, failed);
+  return written;
+}
 
 Result<SimulatedFile> simulate_drive_file(const std::string& file, bool motion, const FittedDrive& drive,
                                           const SimulateOptions& options) {
@@ -154,16 +166,11 @@ int simulate_drive(const SimulateOptions& options) {
           {fmt::format("two of the runs would become {}; simulate them into different folders", file.path)});
     outputs.push_back({"--out", file.path});
   }
-  std::error_code failed;
-  fs::create_directories(options.folder, failed);
-  if (failed)
-    return cli::refuse({fmt::format("cannot create the folder {}: {}; name another with --out",
-                                    options.folder, failed.message())});
+  if (const Result<void> created = create_folder(options.folder); !created)
+    return cli::refuse(created.error());
   if (const Result<void> checked = cli::check_outputs(outputs, read); !checked)
     return cli::refuse(checked.error());
-  for (const SimulatedFile& file : files)
-    if (const Result<void> written = write_file_atomically(file.path, file.text); !written)
-      return cli::refuse(written.error());
+  if (const Result<void> written = write_files(files); !written) return cli::refuse(written.error());
   fmt::print("{} run{} in {}\n", files.size(), files.size() == 1 ? "" : "s", options.folder);
   return cli::kSuccess;
 }

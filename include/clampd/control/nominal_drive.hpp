@@ -14,8 +14,9 @@ struct DryFriction {
   double beyond_coulomb_Nm = 0.0;  ///< at rest
   double stribeck_s2_rad2 = 0.0;   ///< one over the square of the Stribeck speed
 
-  /// As a magnitude; the sign of the speed does not matter.
-  CLAMPD_REALTIME double torque_Nm(double speed_rad_s) const noexcept {
+  /// As a magnitude; the sign of the speed does not matter. Of one speed, or of a vector of them.
+  template <class Number>
+  CLAMPD_REALTIME Number torque_Nm(Number speed_rad_s) const noexcept {
     return coulomb_Nm + beyond_coulomb_Nm / (1.0 + speed_rad_s * speed_rad_s * stribeck_s2_rad2);
   }
 };
