@@ -380,6 +380,7 @@ TEST_F(Screen, OnAPhoneNothingRunsOffTheScreen) {
   EXPECT_EQ(browser_->value(kBeyondTheScreen), "");
   picture("phone");
   browser_->type(kF3);
+  ASSERT_TRUE(browser_->becomes("document.querySelector('#history-list button')"));
   browser_->type(kDown);
   ASSERT_TRUE(browser_->becomes("document.querySelector('#past-force .measured')"));
   EXPECT_EQ(browser_->value(kBeyondTheScreen), "");
