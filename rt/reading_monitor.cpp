@@ -44,21 +44,13 @@ constexpr int kLearnSamples = 50;  // at rest, before noise counts as known
 constexpr int kNoisyRow = 8;       // a longer row of equal readings at rest: too little noise to judge by
 constexpr int kRepeatFactor = 5, kRepeatMargin = 5;
 
-/// Of five, so that two outliers beside each other are none. Without branches.
-double median_of(const std::array<double, 5>& values) noexcept {
-  const auto& [a, b, c, d, e] = values;
-  const double lower = std::max(std::min(a, b), std::min(c, d));
-  const double upper = std::min(std::max(a, b), std::max(c, d));
-  return std::max(std::min(lower, upper), std::min(std::max(lower, upper), e));
-}
-
-/// Of each of the two: b where one is no number.
-template <class Pair>
-inline Pair larger(Pair a, Pair b) noexcept {
+/// Of numbers, or of each of a pair: b where one is no number.
+template <class Number>
+inline Number larger(Number a, Number b) noexcept {
   return a > b ? a : b;
 }
-template <class Pair>
-inline Pair smaller(Pair a, Pair b) noexcept {
+template <class Number>
+inline Number smaller(Number a, Number b) noexcept {
   return a < b ? a : b;
 }
 
@@ -71,8 +63,10 @@ void RepeatWatch::learn() noexcept {
   tolerated_ = known ? kRepeatFactor * std::max(longest_, 1) + kRepeatMargin : kMax;
 }
 
-ReadingMonitor::Bounds::Bounds(const NominalDrive& drive) noexcept
-    : nominal(drive),
+ReadingMonitor::Bounds::Bounds(const NominalDrive& drive, double force_tolerance_N) noexcept
+    : nominal(drive.stiffness()),
+      ratio_lower_m_rad(kRatioLower * drive.ratio_m_rad),
+      ratio_upper_m_rad(kRatioUpper * drive.ratio_m_rad),
       load_friction_Nm_N(kDryFriction * drive.load_friction_Nm_N),
       viscous_Nm_s_rad(kViscousFriction * drive.viscous_Nm_s_rad),
       light_per_kg_m2(1.0 / (kInertiaLower * drive.inertia_kg_m2)),
@@ -90,33 +84,36 @@ ReadingMonitor::Bounds::Bounds(const NominalDrive& drive) noexcept
     top_rad = 2.0 / 3.0 * drive.quadratic_N_rad2 / -drive.cubic_N_rad3;
     steep_rad = 0.55 * top_rad;
   }
-  steps2_N = kSteps * kSteps / std::min(nominal_N(steep_rad), kTabled_N);
-  for (std::size_t i = 0; i < slopes_N_rad.size(); ++i)
-    slopes_N_rad[i] = slope_from_curve_N_rad(static_cast<double>(i * i) / steps2_N);
+  steps2_N = kSteps * kSteps / std::min(nominal.force_N(std::min(steep_rad, top_rad)), kTabled_N);
+  for (std::size_t i = 0; i < slopes.size(); ++i) {
+    const double force_N = static_cast<double>(i * i) / steps2_N;
+    slopes[i].bounds_N_rad[kLower] = kSlopeLower * slope_from_curve_N_rad(force_N - force_tolerance_N);
+    slopes[i].bounds_N_rad[kUpper] =
+        kSlopeUpper * slope_from_curve_N_rad(force_N + force_tolerance_N) + kSlopeUnknown_N_rad;
+    slopes[i].nominal_N_rad = slope_from_curve_N_rad(force_N);
+  }
 }
 
-/// Of the nominal brake where it has this force: Newton's method from where a brake without k1 has it.
+/// Of the nominal brake where it has this force: Newton's method from where a brake without k1 has it. None
+/// without force.
 double ReadingMonitor::Bounds::slope_from_curve_N_rad(double force_N) const noexcept {
-  const StiffnessCurve curve = nominal.stiffness();
-  double u = std::sqrt(force_N / curve.quadratic_N_rad2);
+  if (force_N <= 0.0) return 0.0;
+  double u = std::sqrt(force_N / nominal.quadratic_N_rad2);
   for (int i = 0; i < 4; ++i) {
     u = std::min(u, steep_rad);
-    u -= (curve.force_N(u) - force_N) / std::max(curve.slope_N_rad(u), 1.0);
+    u -= (nominal.force_N(u) - force_N) / std::max(nominal.slope_N_rad(u), 1.0);
   }
-  return curve.slope_N_rad(std::clamp(u, 0.0, steep_rad));
+  return nominal.slope_N_rad(std::clamp(u, 0.0, steep_rad));
 }
 
-/// The same from the table; none without force, or where that is no number.
-inline double ReadingMonitor::Bounds::slope_N_rad(double force_N) const noexcept {
-  if (!(force_N > 0.0)) return 0.0;
-  const double root = std::sqrt(force_N * steps2_N);
-  const auto whole = static_cast<std::ptrdiff_t>(std::min(root, double{kSteps}));
-  const double* at = slopes_N_rad.data() + whole;
-  return at[0] + (root - static_cast<double>(whole)) * (at[1] - at[0]);
-}
-
-inline double ReadingMonitor::Bounds::nominal_N(double compression_rad) const noexcept {
-  return nominal.stiffness().force_N(std::min(compression_rad, top_rad));
+/// From the table; as without force where it is negative.
+inline ReadingMonitor::Bounds::Slope ReadingMonitor::Bounds::slope(double force_N) const noexcept {
+  const double root = smaller(std::sqrt(larger(force_N, 0.0) * steps2_N), double{kSteps});
+  const auto whole = static_cast<std::ptrdiff_t>(root);
+  const double share = root - static_cast<double>(whole);
+  const Slope* at = slopes.data() + whole;
+  return {at[0].bounds_N_rad + share * (at[1].bounds_N_rad - at[0].bounds_N_rad),
+          at[0].nominal_N_rad + share * (at[1].nominal_N_rad - at[0].nominal_N_rad)};
 }
 
 /// The most that friction may be at a force, which is not negative.
@@ -125,66 +122,71 @@ inline DryFriction ReadingMonitor::Bounds::friction(double force_N) const noexce
           unloaded.beyond_coulomb_Nm + load_friction_Nm_N * force_N, unloaded.stribeck_s2_rad2};
 }
 
-inline void ReadingMonitor::Excess::add(double change, const Interval& bounds, double keep) noexcept {
-  above = std::max(0.0, keep * above + change - bounds.upper);
-  below = std::max(0.0, keep * below - change + bounds.lower);
+void ReadingMonitor::Torques::fill_reported(double torque_Nm) noexcept {
+  for (Pair& value_Nm : values_Nm_) value_Nm[kReported] = torque_Nm;
 }
 
-inline bool ReadingMonitor::Levels::contradict() const noexcept {
-  const double largest = std::max(std::max(std::max(torque, position), std::max(by_velocity, by_position)),
-                                  std::max(force, compression));
-  // Not ">= 1": a level that is no number hides none of the others from the verdict.
-  return !(largest < 1.0) || velocity_stuck || force_stuck;
+inline ReadingMonitor::Pair ReadingMonitor::Torques::least_Nm() const noexcept {
+  const auto& [a, b, c, d] = values_Nm_;
+  return smaller(smaller(a, b), smaller(c, d));
+}
+
+inline ReadingMonitor::Pair ReadingMonitor::Torques::most_Nm() const noexcept {
+  const auto& [a, b, c, d] = values_Nm_;
+  return larger(larger(a, b), larger(c, d));
+}
+
+inline void ReadingMonitor::Forces::push(double force_N) noexcept {
+  values_N_[oldest_] = force_N;
+  oldest_ = oldest_ + 1 < values_N_.size() ? oldest_ + 1 : 0;
+}
+
+/// Of five, so that two outliers beside each other are none. Without branches.
+inline double ReadingMonitor::Forces::median_N() const noexcept {
+  const auto& [a, b, c, d, e] = values_N_;
+  const double lower = larger(smaller(a, b), smaller(c, d));
+  const double upper = smaller(larger(a, b), larger(c, d));
+  return larger(smaller(lower, upper), smaller(larger(lower, upper), e));
 }
 
 void ReadingMonitor::restart() noexcept {
-  const auto commands_Nm = commands_Nm_;
+  const Torques torques_Nm = torques_Nm_;
   *this = ReadingMonitor(tolerances_, bounds_);
-  commands_Nm_ = commands_Nm;
+  torques_Nm_ = torques_Nm;
 }
 
 void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {
-  torques_Nm_.fill(feedback.torque_Nm);
+  torques_Nm_.fill_reported(feedback.torque_Nm);
   forces_N_.fill(feedback.force_N);
   force_N_ = feedback.force_N;
   momentum_ = {};
   momentum_.before_rad_s += feedback.velocity_rad_s;
   torque_excess_Nm_ = position_excess_rad_ = unanswered_N_ = 0.0;
-  force_excess_N_ = {};
+  force_excess_N_ = Pair{};
   settling_ = kHistory;
-  previous_ = feedback;
-  has_previous_ = true;
+  index_ = feedback.sample_index;
+  velocity_repeats_.repeats_too_often(feedback.velocity_rad_s, false);
+  force_repeats_.repeats_too_often(feedback.force_N, false);
+  position_repeats_.repeats_too_often(feedback.position_rad, false);
 }
 
-inline ReadingMonitor::Interval ReadingMonitor::range(const Last<kHistory>& last) noexcept {
-  const auto& [a, b, c, d] = last.values();
-  return {std::min(std::min(a, b), std::min(c, d)), std::max(std::max(a, b), std::max(c, d))};
-}
-
-inline double ReadingMonitor::compare_torque(double reading_Nm, double samples) noexcept {
-  const Interval commands_Nm = range(commands_Nm_);
-  const double beyond_Nm =
-      std::max(0.0, std::max(commands_Nm.lower - reading_Nm, reading_Nm - commands_Nm.upper));
-  const double largest_Nm =
-      std::max(std::max(std::abs(commands_Nm.lower), std::abs(commands_Nm.upper)), std::abs(reading_Nm));
+inline double ReadingMonitor::compare_torque(double reading_Nm, double least_Nm, double most_Nm,
+                                             double samples) noexcept {
+  const double beyond_Nm = larger(larger(least_Nm - reading_Nm, reading_Nm - most_Nm), 0.0);
+  const double largest_Nm = larger(larger(-least_Nm, most_Nm), std::abs(reading_Nm));
   const double excess_Nm = beyond_Nm - tolerances_.torque_Nm - kTorqueShare * largest_Nm;
-  torque_excess_Nm_ =
-      std::max(0.0, torque_excess_Nm_ + std::max(excess_Nm, -tolerances_.torque_Nm) * samples);
+  torque_excess_Nm_ = larger(torque_excess_Nm_ + larger(excess_Nm, -tolerances_.torque_Nm) * samples, 0.0);
   return torque_excess_Nm_ / (kTorqueSamples * tolerances_.torque_Nm);
 }
 
-inline ReadingMonitor::Drivers ReadingMonitor::drivers(double elapsed_s, bool stop_ahead) const noexcept {
-  const double force_N = std::max(0.0, force_N_);
-  const Interval torque_Nm = range(torques_Nm_);
-  const double unknown_Nm = kTorqueUnknown_Nm + kTorqueUnknownShare * std::max(std::abs(torque_Nm.lower),
-                                                                               std::abs(torque_Nm.upper));
-  const double ratio_m_rad = bounds_.nominal.ratio_m_rad;
-  const double load_lower_Nm = kRatioLower * ratio_m_rad * std::max(0.0, force_N - kForceUnknown_N);
-  const double load_upper_Nm = kRatioUpper * ratio_m_rad * (force_N + kForceUnknown_N);
-  return {{torque_Nm.lower - load_upper_Nm - unknown_Nm, torque_Nm.upper - load_lower_Nm + unknown_Nm},
-          bounds_.friction(force_N),
-          elapsed_s,
-          stop_ahead};
+inline ReadingMonitor::Drivers ReadingMonitor::drivers(double least_Nm, double most_Nm, double elapsed_s,
+                                                       bool stop_ahead) const noexcept {
+  const double force_N = larger(force_N_, 0.0);
+  const double unknown_Nm = kTorqueUnknown_Nm + kTorqueUnknownShare * larger(-least_Nm, most_Nm);
+  const double load_lower_Nm = bounds_.ratio_lower_m_rad * larger(force_N - kForceUnknown_N, 0.0);
+  const double load_upper_Nm = bounds_.ratio_upper_m_rad * (force_N + kForceUnknown_N);
+  return {least_Nm - load_upper_Nm - unknown_Nm, most_Nm - load_lower_Nm + unknown_Nm,
+          bounds_.friction(force_N), elapsed_s, stop_ahead};
 }
 
 inline ReadingMonitor::Pair ReadingMonitor::compare_momentum(const Drivers& drivers,
@@ -200,8 +202,8 @@ inline ReadingMonitor::Pair ReadingMonitor::compare_momentum(const Drivers& driv
   const auto backward = larger(velocity_rad_s, before_rad_s) < -kSurelyMoving_rad_s;
 
   const Pair friction_Nm = drivers.friction.torque_Nm(slower_rad_s) + bounds_.viscous_Nm_s_rad * faster_rad_s;
-  const Pair most_Nm = drivers.torque_Nm.upper + (forward ? kZero : friction_Nm);
-  const Pair least_Nm = drivers.torque_Nm.lower - (backward ? kZero : friction_Nm);
+  const Pair most_Nm = drivers.upper_Nm + (forward ? kZero : friction_Nm);
+  const Pair least_Nm = drivers.lower_Nm - (backward ? kZero : friction_Nm);
   const double light = drivers.elapsed_s * bounds_.light_per_kg_m2,
                heavy = drivers.elapsed_s * bounds_.heavy_per_kg_m2;
   const Pair lower_rad_s = smaller(least_Nm * light, least_Nm * heavy);
@@ -221,48 +223,49 @@ inline ReadingMonitor::Pair ReadingMonitor::compare_momentum(const Drivers& driv
 
 inline double ReadingMonitor::compare_position(double velocity_rad_s, double step_rad,
                                                double elapsed_s) noexcept {
-  const double mean_rad_s = 0.5 * (velocity_rad_s + previous_.velocity_rad_s);
+  const double mean_rad_s = 0.5 * (velocity_rad_s + velocity_repeats_.last());
   position_excess_rad_ = kForgetFast * position_excess_rad_ + step_rad - mean_rad_s * elapsed_s;
-  const double both_rad_s = std::min(std::abs(mean_rad_s), std::abs(step_rad / elapsed_s));
-  common_speed_rad_s_ = std::max(kForgetFast * common_speed_rad_s_, both_rad_s);
+  const double both_rad_s = smaller(std::abs(mean_rad_s), std::abs(step_rad / elapsed_s));
+  common_speed_rad_s_ = larger(kForgetFast * common_speed_rad_s_, both_rad_s);
   return std::abs(position_excess_rad_) /
          (tolerances_.position_rad + kVelocityLag_samples * kPeriod_s * common_speed_rad_s_);
 }
 
 inline double ReadingMonitor::compare_force(double reading_N, double step_rad) noexcept {
+  constexpr Pair kZero{};
   const double before_N = force_N_;
   forces_N_.push(reading_N);
-  force_N_ = median_of(forces_N_.values());
+  force_N_ = forces_N_.median_N();
 
-  const double slope_lower = kSlopeLower * bounds_.slope_N_rad(before_N - tolerances_.force_N);
-  const double slope_upper =
-      kSlopeUpper * bounds_.slope_N_rad(before_N + tolerances_.force_N) + kSlopeUnknown_N_rad;
-  const double due_N = bounds_.slope_N_rad(before_N) * std::abs(step_rad);
-  const Interval bounds_N{std::min(slope_lower * step_rad, slope_upper * step_rad),
-                          std::max(slope_lower * step_rad, slope_upper * step_rad)};
-  force_excess_N_.add(force_N_ - before_N, bounds_N, kForgetForce);
-  force_rate_N_ = std::max(kForgetFast * force_rate_N_, due_N);
+  const Bounds::Slope slope = bounds_.slope(before_N);
+  const Pair due_N = slope.bounds_N_rad * step_rad;
+  const double change_N = force_N_ - before_N;
+  const Pair outside_N{change_N - larger(due_N[kLower], due_N[kUpper]),
+                       smaller(due_N[kLower], due_N[kUpper]) - change_N};
+  force_excess_N_ = larger(kForgetForce * force_excess_N_ + outside_N, kZero);
+  const double nominal_N = slope.nominal_N_rad * std::abs(step_rad);
+  force_rate_N_ = larger(kForgetFast * force_rate_N_, nominal_N);
 
-  const bool in_contact = before_N > tolerances_.force_N;
-  unanswered_N_ = reading_N == previous_.force_N && in_contact ? unanswered_N_ + 0.5 * due_N : 0.0;
+  const bool unanswered = reading_N == force_repeats_.last() && before_N > tolerances_.force_N;
+  unanswered_N_ = unanswered ? unanswered_N_ + 0.5 * nominal_N : 0.0;
 
-  const double force_N = std::max(0.0, before_N);
+  const double force_N = larger(before_N, 0.0);
   const double tolerance_N = tolerances_.force_N + kForceShare * force_N + kForceLag_samples * force_rate_N_;
+  const Pair level = force_excess_N_ / Pair{tolerance_N, tolerance_N + kRelaxation * force_N};
   const double jump_N = std::abs(reading_N - before_N);
-  return std::max(std::max(force_excess_N_.above / tolerance_N,
-                           force_excess_N_.below / (tolerance_N + kRelaxation * force_N)),
-                  jump_N / (kForceJump * tolerance_N));
+  return larger(larger(level[kAbove], level[kBelow]), jump_N / (kForceJump * tolerance_N));
 }
 
 inline double ReadingMonitor::compare_compression(double position_rad,
                                                   const ReadingContext& context) const noexcept {
   if (!context.contact_known) return 0.0;
   const double compression_rad = position_rad - context.contact_rad;
+  const Pair range_rad{compression_rad - kContactUnknown_rad, compression_rad + kContactUnknown_rad};
+  const Pair in_contact_rad = larger(smaller(range_rad, Pair{} + bounds_.top_rad), Pair{});
+  const Pair bounds_N = Pair{kForceLower, kForceUpper} * bounds_.nominal.force_in_contact_N(in_contact_rad);
   const double force_N = force_N_ - context.force_zero_N;
-  const double lower_N = kForceLower * bounds_.nominal_N(compression_rad - kContactUnknown_rad);
-  const double upper_N = kForceUpper * bounds_.nominal_N(compression_rad + kContactUnknown_rad);
   const double tolerance_N = tolerances_.force_N + kForceLag_samples * force_rate_N_;
-  return std::max(lower_N - force_N, force_N - upper_N) / tolerance_N;
+  return larger(bounds_N[kLower] - force_N, force_N - bounds_N[kUpper]) / tolerance_N;
 }
 
 bool ReadingMonitor::encoder_stands_still() const noexcept {
@@ -305,34 +308,38 @@ FaultCause ReadingMonitor::verdict(const Levels& levels) const noexcept {
 }
 
 FaultCause ReadingMonitor::observe(const BrakeFeedback& feedback, const ReadingContext& context) noexcept {
-  const std::int64_t samples = has_previous_ ? feedback.sample_index - previous_.sample_index : 0;
+  const std::int64_t samples = feedback.sample_index - index_;
   if (samples <= 0 || samples > kBridgedGap) {
     begin_at(feedback);
     return FaultCause::None;
   }
+  index_ = feedback.sample_index;
   const double elapsed_s = static_cast<double>(samples) * kPeriod_s;
-  const double step_rad = feedback.position_rad - previous_.position_rad;
-  torques_Nm_.push(feedback.torque_Nm);
-  Levels levels;
-  levels.force = compare_force(feedback.force_N, step_rad);
-  levels.compression = compare_compression(feedback.position_rad, context);
-  levels.position = compare_position(feedback.velocity_rad_s, step_rad, elapsed_s);
-  const Drivers drivers = this->drivers(elapsed_s, context.stop_ahead);
-  const Pair velocities_rad_s{feedback.velocity_rad_s, step_rad / elapsed_s};
-  const Pair by_motion = compare_momentum(drivers, velocities_rad_s);
-  levels.by_velocity = by_motion[kRead];
-  levels.by_position = by_motion[kDifferentiated];
-  levels.torque = compare_torque(feedback.torque_Nm, static_cast<double>(samples));
-  levels.velocity_stuck = velocity_repeats_.repeats_too_often(feedback.velocity_rad_s, context.at_rest);
-  levels.force_stuck = force_repeats_.repeats_too_often(feedback.force_N, context.at_rest) ||
-                       (unanswered_N_ > kFrozenForce_N && force_repeats_.repeats() >= kFrozenRepeats);
+  const double step_rad = feedback.position_rad - position_repeats_.last();
+  torques_Nm_.push(kReported, feedback.torque_Nm);
+  const double force = compare_force(feedback.force_N, step_rad);
+  const double compression = compare_compression(feedback.position_rad, context);
+  const double position = compare_position(feedback.velocity_rad_s, step_rad, elapsed_s);
+  const Pair least_Nm = torques_Nm_.least_Nm(), most_Nm = torques_Nm_.most_Nm();
+  const Drivers drivers =
+      this->drivers(least_Nm[kReported], most_Nm[kReported], elapsed_s, context.stop_ahead);
+  const Pair by_motion = compare_momentum(drivers, Pair{feedback.velocity_rad_s, step_rad / elapsed_s});
+  const double torque = compare_torque(feedback.torque_Nm, least_Nm[kCommanded], most_Nm[kCommanded],
+                                       static_cast<double>(samples));
+  const bool velocity_stuck = velocity_repeats_.repeats_too_often(feedback.velocity_rad_s, context.at_rest);
+  const bool force_stuck = force_repeats_.repeats_too_often(feedback.force_N, context.at_rest) ||
+                           (unanswered_N_ > kFrozenForce_N && force_repeats_.repeats() >= kFrozenRepeats);
   position_repeats_.repeats_too_often(feedback.position_rad, false);
-  previous_ = feedback;
   if (settling_ > 0) {
     --settling_;
     return FaultCause::None;
   }
-  return levels.contradict() ? verdict(levels) : FaultCause::None;
+  const double largest = std::max(std::max(std::max(torque, position), std::max(by_motion[0], by_motion[1])),
+                                  std::max(force, compression));
+  // Not ">= 1": a level that is no number hides none of the others from the verdict.
+  if (largest < 1.0 && !velocity_stuck && !force_stuck) return FaultCause::None;
+  return verdict({torque, position, by_motion[kRead], by_motion[kDifferentiated], force, compression,
+                  velocity_stuck, force_stuck});
 }
 
 }  // namespace clampd::rt

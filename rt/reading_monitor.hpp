@@ -43,6 +43,8 @@ class RepeatWatch {
   }
   /// How many samples before this one read exactly the same.
   CLAMPD_REALTIME int repeats() const noexcept { return repeats_; }
+  /// The last reading; before the first one no number.
+  CLAMPD_REALTIME double last() const noexcept { return last_; }
 
  private:
   static constexpr int kMax = 1'000'000;
@@ -84,83 +86,95 @@ struct ReadingContext {
 class ReadingMonitor {
  public:
   ReadingMonitor(const ReadingTolerances& tolerances, const NominalDrive& drive) noexcept
-      : ReadingMonitor(tolerances, Bounds(drive)) {}
+      : ReadingMonitor(tolerances, Bounds(drive, tolerances.force_N)) {}
 
   /// Forgets everything but the commands: a check begins.
   CLAMPD_REALTIME void restart() noexcept;
   /// What was sent in a tick.
-  CLAMPD_REALTIME void commanded(double torque_Nm) noexcept { commands_Nm_.push(torque_Nm); }
+  CLAMPD_REALTIME void commanded(double torque_Nm) noexcept { torques_Nm_.push(kCommanded, torque_Nm); }
 
   /// The next sample. None, or the cause that names the reading.
   CLAMPD_REALTIME FaultCause observe(const BrakeFeedback& feedback, const ReadingContext& context) noexcept;
 
  private:
-  struct Interval {
-    double lower = 0.0;
-    double upper = 0.0;
-  };
+  /// Two numbers that take the same way, which costs as much as one.
+  using Pair = double __attribute__((vector_size(16)));
+  static constexpr int kCommanded = 0, kReported = 1;   ///< torques
+  static constexpr int kRead = 0, kDifferentiated = 1;  ///< velocities: from the position's differences
+  static constexpr int kLower = 0, kUpper = 1;          ///< bounds
+  static constexpr int kAbove = 0, kBelow = 1;          ///< what lies outside of them
 
   /// What a brake of this product may be, from the nominal one.
   struct Bounds {
-    explicit Bounds(const NominalDrive& drive) noexcept;
-    double slope_N_rad(double force_N) const noexcept;
+    /// By how much the force changes with the position.
+    struct Slope {
+      Pair bounds_N_rad{};
+      double nominal_N_rad = 0.0;
+    };
+
+    /// `force_tolerance_N`: how far the force at which a slope is looked up may be wrong.
+    Bounds(const NominalDrive& drive, double force_tolerance_N) noexcept;
+    Slope slope(double force_N) const noexcept;
     double slope_from_curve_N_rad(double force_N) const noexcept;
-    double nominal_N(double compression_rad) const noexcept;
     DryFriction friction(double force_N) const noexcept;
 
-    NominalDrive nominal;
+    StiffnessCurve nominal;
+    double ratio_lower_m_rad = 0.0, ratio_upper_m_rad = 0.0;
     DryFriction unloaded;  ///< the most friction without force
     double load_friction_Nm_N = 0.0, viscous_Nm_s_rad = 0.0;
     double light_per_kg_m2 = 0.0, heavy_per_kg_m2 = 0.0;  ///< one over the least and the largest inertia
     double steep_rad = 0.0;  ///< compression to where the nominal stiffness is steep
     double top_rad = 0.0;    ///< compression of the largest force on the nominal curve
-    /// The nominal stiffness at equal steps of the root of the force, over which it is nearly straight; the
-    /// last step leads on.
+    /// At equal steps of the root of the force, over which the stiffness is nearly straight; the last step
+    /// leads on.
     static constexpr int kSteps = 64;
-    std::array<double, kSteps + 2> slopes_N_rad{};
+    std::array<Slope, kSteps + 2> slopes{};
     double steps2_N = 0.0;  ///< the square of a force's root in steps, over the force
   };
 
-  /// The last readings, in no order.
-  template <std::size_t n>
-  class Last {
+  static constexpr std::size_t kHistory = 4;
+
+  /// The last torques that were commanded and reported, in no order.
+  class Torques {
    public:
-    void fill(double value) noexcept { values_.fill(value); }
-    void push(double value) noexcept {
-      values_[oldest_] = value;
-      oldest_ = oldest_ + 1 < n ? oldest_ + 1 : 0;
+    /// `which`: kCommanded or kReported, which come at their own times.
+    void push(int which, double torque_Nm) noexcept {
+      std::size_t& oldest = oldest_[static_cast<std::size_t>(which)];
+      values_Nm_[oldest][which] = torque_Nm;
+      oldest = (oldest + 1) % kHistory;
     }
-    const std::array<double, n>& values() const noexcept { return values_; }
+    void fill_reported(double torque_Nm) noexcept;
+    Pair least_Nm() const noexcept;
+    Pair most_Nm() const noexcept;
 
    private:
-    std::array<double, n> values_{};
+    std::array<Pair, kHistory> values_Nm_{};
+    std::array<std::size_t, 2> oldest_{};
+  };
+
+  /// The last force readings, in no order.
+  class Forces {
+   public:
+    void push(double force_N) noexcept;
+    void fill(double force_N) noexcept { values_N_.fill(force_N); }
+    double median_N() const noexcept;
+
+   private:
+    std::array<double, 5> values_N_{};
     std::size_t oldest_ = 0;
   };
 
-  /// Accumulates how far a change lies outside of its bounds, to either side.
-  struct Excess {
-    double above = 0.0;
-    double below = 0.0;
-    void add(double change, const Interval& bounds, double keep) noexcept;
-    double larger() const noexcept { return std::max(above, below); }
-  };
-
-  /// The same of two velocities at once: the one that is read, and the one that the position's differences
-  /// give. Two at a time cost as much as one.
-  using Pair = double __attribute__((vector_size(16)));
-  static constexpr int kRead = 0, kDifferentiated = 1;
-
-  /// Two velocities against the torque.
+  /// Both velocities against the torque.
   struct Momentum {
     Pair before_rad_s{};
-    Pair above_rad_s{}, below_rad_s{};  ///< excess to either side, as in Excess
+    Pair above_rad_s{}, below_rad_s{};  ///< how far changes lay outside of their bounds, accumulated
     Pair peak{};                        ///< of their levels, forgotten slowly
   };
 
   /// What moves the motor in one sample.
   struct Drivers {
-    Interval torque_Nm;    ///< of the drive less the load of the force
-    DryFriction friction;  ///< the most it may be
+    double lower_Nm = 0.0, upper_Nm = 0.0;  ///< the drive less the load of the force
+    DryFriction friction;                   ///< the most it may be
     double elapsed_s = 0.0;
     bool stop_ahead = false;
   };
@@ -169,17 +183,13 @@ class ReadingMonitor {
   struct Levels {
     double torque = 0.0, position = 0.0, by_velocity = 0.0, by_position = 0.0, force = 0.0, compression = 0.0;
     bool velocity_stuck = false, force_stuck = false;
-    bool contradict() const noexcept;
   };
-
-  static constexpr int kHistory = 4;
 
   ReadingMonitor(const ReadingTolerances& tolerances, const Bounds& bounds) noexcept
       : tolerances_(tolerances), bounds_(bounds) {}
-  static Interval range(const Last<kHistory>& last) noexcept;
   void begin_at(const BrakeFeedback& feedback) noexcept;
-  double compare_torque(double reading_Nm, double samples) noexcept;
-  Drivers drivers(double elapsed_s, bool stop_ahead) const noexcept;
+  double compare_torque(double reading_Nm, double least_Nm, double most_Nm, double samples) noexcept;
+  Drivers drivers(double least_Nm, double most_Nm, double elapsed_s, bool stop_ahead) const noexcept;
   Pair compare_momentum(const Drivers& drivers, Pair velocity_rad_s) noexcept;
   double compare_position(double velocity_rad_s, double step_rad, double elapsed_s) noexcept;
   double compare_force(double reading_N, double step_rad) noexcept;
@@ -188,24 +198,24 @@ class ReadingMonitor {
   FaultCause position_or_velocity() const noexcept;
   bool encoder_stands_still() const noexcept;
 
+  static constexpr std::int64_t kNoSample = std::numeric_limits<std::int64_t>::min() / 2;
+
   ReadingTolerances tolerances_;
   Bounds bounds_;
 
-  Last<kHistory> commands_Nm_;
-  Last<kHistory> torques_Nm_;
-  Last<5> forces_N_;
+  Torques torques_Nm_;
+  Forces forces_N_;
   double force_N_ = 0.0;  ///< their median
 
-  bool has_previous_ = false;
-  BrakeFeedback previous_;
-  int settling_ = 0;  ///< samples until the histories are filled
+  std::int64_t index_ = kNoSample;  ///< of the last sample, whose readings the repeat watches know
+  int settling_ = 0;                ///< samples until the histories are filled
 
   double torque_excess_Nm_ = 0.0;     ///< beyond the commands' range, accumulated over samples
   double position_excess_rad_ = 0.0;  ///< travel that the velocity does not explain
   double common_speed_rad_s_ = 0.0;   ///< at which both readings say it moved lately
   double force_rate_N_ = 0.0;         ///< change of force a sample that the motion explains, lately
   double unanswered_N_ = 0.0;         ///< change of force that was due while the reading repeated
-  Excess force_excess_N_;
+  Pair force_excess_N_{};             ///< how far changes of force lay outside of their bounds, accumulated
   Momentum momentum_;
   RepeatWatch velocity_repeats_;
   RepeatWatch force_repeats_;

@@ -15,7 +15,12 @@ struct StiffnessCurve {
 
   /// At a position from contact; none in the clearance.
   CLAMPD_REALTIME double force_N(double position_rad) const noexcept {
-    if (position_rad <= 0.0) return 0.0;
+    return position_rad <= 0.0 ? 0.0 : force_in_contact_N(position_rad);
+  }
+
+  /// The same where the pads touch, for one position or a vector of them.
+  template <class Number>
+  CLAMPD_REALTIME Number force_in_contact_N(Number position_rad) const noexcept {
     return (cubic_N_rad3 * position_rad + quadratic_N_rad2) * position_rad * position_rad;
   }
 
