@@ -38,7 +38,7 @@ void CheckSequence::start(const CheckPlan* plan) noexcept {
   CLAMPD_ASSERT(plan != nullptr && !plan->reference.rows.empty());
   *this = CheckSequence();
   plan_ = plan;
-  stage_ = Stage::Open;
+  enter(Stage::Open);
 }
 
 void CheckSequence::abandon() noexcept {
@@ -51,6 +51,8 @@ void CheckSequence::enter(Stage stage) noexcept {
   stage_ = stage;
   stage_start_ = index_ + 1;
   still_samples_ = 0;
+  last_.context.at_rest = stage == Stage::Tare;
+  last_.context.stop_ahead = stage == Stage::Open || stage == Stage::Rest || stage == Stage::Release;
 }
 
 inline CheckPhase CheckSequence::phase() const noexcept {
@@ -144,11 +146,6 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
     last_.torque_Nm =
         limited_torque_Nm(torque_Nm, limits, plan_->drive, observer_.velocity_rad_s(), force_N_, slope_N_rad);
   }
-  last_.context = {.at_rest = stage_ == Stage::Tare,
-                   .stop_ahead = stage_ == Stage::Open || stage_ == Stage::Rest || stage_ == Stage::Release,
-                   .contact_known = contact_known_,
-                   .contact_rad = proof_.origin_rad,
-                   .force_zero_N = force_offset_N_};
   if (last_.fault == FaultCause::None) last_.fault = unproven_;
   return last_;
 }
@@ -267,6 +264,7 @@ double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
   ++tare_samples_;
   if (static_cast<double>(samples_in_stage() + 1) * kPeriod_s < plan_->tare_s) return 0.0;
   force_offset_N_ = sum_force_N_ / tare_samples_;
+  last_.context.force_zero_N = force_offset_N_;
   velocity_offset_rad_s_ = sum_velocity_rad_s_ / tare_samples_;
   smooth_force_N_ = 0.0;
   pairs_.fill({0.0, feedback.position_rad});
@@ -297,6 +295,8 @@ double CheckSequence::approach() noexcept {
     contact_known_ = true;
     proof_.contact_rad = observer_.position_rad();
     proof_.origin_rad = stiffness_.contact_rad();
+    last_.context.contact_known = true;
+    last_.context.contact_rad = proof_.origin_rad;
   }
   if (contact_known_ && smooth_force_N_ > kLearnFactor * plan_->contact_force_N) {
     unproven_ = prove_motion();

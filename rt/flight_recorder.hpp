@@ -18,7 +18,12 @@ class FlightRecorder {
   static constexpr std::size_t kCapacity = 512;
 
   /// Where the next sample is to be written. Loop only.
-  CLAMPD_REALTIME Sample& next() noexcept { return live_[written_++ % kCapacity]; }
+  CLAMPD_REALTIME Sample& next() noexcept {
+    Sample& sample = *next_;
+    next_ = next_ + 1 < live_.data() + kCapacity ? next_ + 1 : live_.data();
+    ++written_;
+    return sample;
+  }
 
   /// Copies what was written, oldest first. False if a reader holds the copy: try again later. Loop only.
   CLAMPD_REALTIME bool capture() noexcept {
@@ -50,6 +55,7 @@ class FlightRecorder {
   enum class Holder : unsigned char { Nobody, Loop, Reader };
 
   std::array<Sample, kCapacity> live_{};
+  Sample* next_ = live_.data();
   std::size_t written_ = 0;
   mutable std::atomic<Holder> holder_{Holder::Nobody};
   std::array<Sample, kCapacity> captured_{};

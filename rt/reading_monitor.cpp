@@ -172,7 +172,7 @@ void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {
 
 inline double ReadingMonitor::compare_torque(double reading_Nm, double least_Nm, double most_Nm,
                                              double samples) noexcept {
-  const double beyond_Nm = larger(larger(least_Nm - reading_Nm, reading_Nm - most_Nm), 0.0);
+  const double beyond_Nm = larger(least_Nm - reading_Nm, reading_Nm - most_Nm);
   const double largest_Nm = larger(larger(-least_Nm, most_Nm), std::abs(reading_Nm));
   const double excess_Nm = beyond_Nm - tolerances_.torque_Nm - kTorqueShare * largest_Nm;
   torque_excess_Nm_ = larger(torque_excess_Nm_ + larger(excess_Nm, -tolerances_.torque_Nm) * samples, 0.0);
@@ -194,13 +194,14 @@ inline ReadingMonitor::Pair ReadingMonitor::compare_momentum(const Drivers& driv
   constexpr Pair kZero{};
   const Pair before_rad_s = momentum_.before_rad_s;
   momentum_.before_rad_s = velocity_rad_s;
-  const Pair speed_rad_s = larger(velocity_rad_s, -velocity_rad_s);
-  const Pair speed_before_rad_s = larger(before_rad_s, -before_rad_s);
-  const Pair slower_rad_s = smaller(speed_rad_s, speed_before_rad_s);
-  const Pair faster_rad_s = larger(speed_rad_s, speed_before_rad_s);
-  const auto forward = smaller(velocity_rad_s, before_rad_s) > kSurelyMoving_rad_s;
-  const auto backward = larger(velocity_rad_s, before_rad_s) < -kSurelyMoving_rad_s;
+  const Pair least_rad_s = smaller(velocity_rad_s, before_rad_s);
+  const Pair most_rad_s = larger(velocity_rad_s, before_rad_s);
+  const auto forward = least_rad_s > kSurelyMoving_rad_s;
+  const auto backward = most_rad_s < -kSurelyMoving_rad_s;
 
+  // The larger of the two speeds, and the smaller one with either sign.
+  const Pair faster_rad_s = larger(most_rad_s, -least_rad_s);
+  const Pair slower_rad_s = smaller(most_rad_s, -least_rad_s);
   const Pair friction_Nm = drivers.friction.torque_Nm(slower_rad_s) + bounds_.viscous_Nm_s_rad * faster_rad_s;
   const Pair most_Nm = drivers.upper_Nm + (forward ? kZero : friction_Nm);
   const Pair least_Nm = drivers.lower_Nm - (backward ? kZero : friction_Nm);

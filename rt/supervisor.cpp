@@ -75,12 +75,7 @@ void Supervisor::begin_tick(const TickInputs& inputs) noexcept {
     last_sample_ns_ = now_ns_;
     enter_init();
   }
-  // Emergency stop first: should several causes meet, the operator's own is the one to report.
-  if (inputs.interlocks.emergency_stop) raise(FaultCause::EmergencyStop);
-  if (inputs.operator_stop) raise(FaultCause::OperatorStop);
-  if (inputs.interlocks.lost) raise(FaultCause::InterlockLost);
-  if (inputs.interlocks.fixture_open) raise(FaultCause::FixtureOpen);
-  if (inputs.interlocks.start_button_stuck) raise(FaultCause::StartButtonStuck);
+  if (inputs.operator_stop || !inputs.interlocks.none()) check_stops(inputs);
   check_link(inputs.health);
   if (in_check() && inputs.skipped_periods > 0) {
     skipped_in_check_ += inputs.skipped_periods;
@@ -90,6 +85,15 @@ void Supervisor::begin_tick(const TickInputs& inputs) noexcept {
     }
   }
   if (inputs.clear && clearable()) enter_init();
+}
+
+void Supervisor::check_stops(const TickInputs& inputs) noexcept {
+  // Emergency stop first: should several causes meet, the operator's own is the one to report.
+  if (inputs.interlocks.emergency_stop) raise(FaultCause::EmergencyStop);
+  if (inputs.operator_stop) raise(FaultCause::OperatorStop);
+  if (inputs.interlocks.lost) raise(FaultCause::InterlockLost);
+  if (inputs.interlocks.fixture_open) raise(FaultCause::FixtureOpen);
+  if (inputs.interlocks.start_button_stuck) raise(FaultCause::StartButtonStuck);
 }
 
 inline void Supervisor::check_link(const PortHealth& health) noexcept {
@@ -219,8 +223,8 @@ bool Supervisor::arm() noexcept {
   return true;
 }
 
-void Supervisor::end_samples() noexcept {
-  if (now_ns_ - last_sample_ns_ > settings_.stale_ns) raise(FaultCause::FeedbackStale);
+/// Whether the brake has had its time to get ready.
+void Supervisor::check_waiting() noexcept {
   const std::int64_t in_state_ns = now_ns_ - state_entered_ns_;
   if (state_ == StationState::Init && in_state_ns > settings_.startup_timeout_ns) {
     const FaultCause trouble = init_trouble_;

@@ -146,7 +146,9 @@ class Supervisor {
 
   void judge(FaultCause cause) noexcept;
   void enter_init() noexcept;
+  void check_waiting() noexcept;
   void latch(FaultCause cause) noexcept;
+  void check_stops(const TickInputs& inputs) noexcept;
   void check_link(const PortHealth& health) noexcept;
   void check_stream(const BrakeFeedback& feedback) noexcept;
   void check_drive(const BrakeFeedback& feedback) noexcept;
@@ -203,6 +205,11 @@ inline void Supervisor::follow(CheckPhase phase, bool done, const ReadingContext
     state_ = StationState::Releasing;
     state_entered_ns_ = now_ns_;
   }
+}
+
+inline void Supervisor::end_samples() noexcept {
+  if (now_ns_ - last_sample_ns_ > settings_.stale_ns) raise(FaultCause::FeedbackStale);
+  if (state_ == StationState::Init || state_ == StationState::Armed) check_waiting();
 }
 
 inline void Supervisor::sent(bool handed_over, double torque_Nm) noexcept {

@@ -11,8 +11,7 @@ namespace {
 constexpr double kVelocityBandwidth_rad_s = 250.0;
 constexpr double kPositionBandwidth_rad_s = 80.0;
 constexpr double kBraking_rad_s2 = 4000.0;
-constexpr double kSignWidth_rad_s = 3.0;     // below, a friction feed-forward would chatter
-constexpr double kSpeedMargin_rad_s = 15.0;  // over which the torque fades before the speed limit
+constexpr double kSignWidth_rad_s = 3.0;  // below, a friction feed-forward would chatter
 // Bounds of a brake's velocity over the nominal one's, where both have the same force.
 constexpr double kLeastStretch = 0.6, kMaxStretch = 1.6;
 
@@ -80,27 +79,6 @@ double move_torque_Nm(double target_rad, double speed_limit_rad_s, const Nominal
   // Braking belongs to the move as planned; while the motor is still slower, it must not slow it further.
   if (direction * predicted.velocity_rad_s < 0.8 * speed_rad_s) braking_rad_s2 = 0.0;
   return velocity_torque_Nm(direction * speed_rad_s, -direction * braking_rad_s2, drive, predicted, force_N);
-}
-
-double stop_force_N(double velocity_rad_s, double force_N, double slope_N_rad, double torque_limit_Nm,
-                    const NominalDrive& drive) noexcept {
-  if (!(velocity_rad_s > 0.0)) return force_N;
-  const double braking_rad_s2 = torque_limit_Nm / drive.inertia_kg_m2;
-  const double stop_rad = velocity_rad_s * (kPeriod_s + 0.5 * velocity_rad_s / braking_rad_s2);
-  return force_N + slope_N_rad * stop_rad;
-}
-
-double limited_torque_Nm(double torque_Nm, const ControlLimits& limits, const NominalDrive& drive,
-                         double velocity_rad_s, double force_N, double slope_N_rad) noexcept {
-  if (!std::isfinite(torque_Nm)) return 0.0;
-  if (torque_Nm * velocity_rad_s > 0.0) {
-    const double share =
-        std::clamp((limits.velocity_rad_s - std::abs(velocity_rad_s)) / kSpeedMargin_rad_s, 0.0, 1.0);
-    torque_Nm = std::clamp(torque_Nm, -share * limits.torque_Nm, share * limits.torque_Nm);
-  }
-  if (stop_force_N(velocity_rad_s, force_N, slope_N_rad, limits.torque_Nm, drive) > limits.force_N)
-    torque_Nm = velocity_rad_s > 0.0 ? -limits.torque_Nm : std::min(torque_Nm, 0.0);
-  return std::clamp(torque_Nm, -limits.torque_Nm, limits.torque_Nm);
 }
 
 }  // namespace clampd

@@ -1,5 +1,9 @@
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+
+#include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/control/motion_observer.hpp"
 #include "clampd/control/nominal_drive.hpp"
@@ -41,13 +45,29 @@ CLAMPD_REALTIME double velocity_torque_Nm(double velocity_rad_s, double accelera
 
 /// The force in N that a stop would end at, if the next command brakes with all of `torque_limit_Nm`: along
 /// the tangent of the stiffness, with no help by load and friction. The present force unless it closes.
-CLAMPD_REALTIME double stop_force_N(double velocity_rad_s, double force_N, double slope_N_rad,
-                                    double torque_limit_Nm, const NominalDrive& drive) noexcept;
+CLAMPD_REALTIME inline double stop_force_N(double velocity_rad_s, double force_N, double slope_N_rad,
+                                           double torque_limit_Nm, const NominalDrive& drive) noexcept {
+  if (!(velocity_rad_s > 0.0)) return force_N;
+  const double braking_rad_s2 = torque_limit_Nm / drive.inertia_kg_m2;
+  const double stop_rad = velocity_rad_s * (kPeriod_s + 0.5 * velocity_rad_s / braking_rad_s2);
+  return force_N + slope_N_rad * stop_rad;
+}
 
 /// Limits last: no torque beyond the drive's, none that drives the brake beyond its speed, or into a force
 /// from where it could no longer stop in time. Always finite; zero if the input is not.
-CLAMPD_REALTIME double limited_torque_Nm(double torque_Nm, const ControlLimits& limits,
-                                         const NominalDrive& drive, double velocity_rad_s, double force_N,
-                                         double slope_N_rad) noexcept;
+CLAMPD_REALTIME inline double limited_torque_Nm(double torque_Nm, const ControlLimits& limits,
+                                                const NominalDrive& drive, double velocity_rad_s,
+                                                double force_N, double slope_N_rad) noexcept {
+  constexpr double kSpeedMargin_rad_s = 15.0;  // over which the torque fades before the speed limit
+  if (!std::isfinite(torque_Nm)) return 0.0;
+  if (torque_Nm * velocity_rad_s > 0.0) {
+    const double share =
+        std::clamp((limits.velocity_rad_s - std::abs(velocity_rad_s)) / kSpeedMargin_rad_s, 0.0, 1.0);
+    torque_Nm = std::clamp(torque_Nm, -share * limits.torque_Nm, share * limits.torque_Nm);
+  }
+  if (stop_force_N(velocity_rad_s, force_N, slope_N_rad, limits.torque_Nm, drive) > limits.force_N)
+    torque_Nm = velocity_rad_s > 0.0 ? -limits.torque_Nm : std::min(torque_Nm, 0.0);
+  return std::clamp(torque_Nm, -limits.torque_Nm, limits.torque_Nm);
+}
 
 }  // namespace clampd

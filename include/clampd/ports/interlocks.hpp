@@ -1,6 +1,7 @@
 #pragma once
 
 #include <atomic>
+#include <bit>
 #include <cstdint>
 
 #include "clampd/base/clock.hpp"
@@ -16,6 +17,9 @@ struct Interlocks {
   bool start_button_stuck = false;  ///< held at start-up, or far longer than a press
   bool lost =
       false;  ///< a line cannot be read, or who reads the lines fell silent: believe none of the above
+
+  /// Whether nothing of it is so; at one look, since the loop asks in every tick.
+  bool none() const noexcept { return std::bit_cast<std::uint32_t>(*this) == 0; }
 };
 
 /// What the loop tells the enable relay's guard.
