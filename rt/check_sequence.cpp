@@ -94,7 +94,7 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
     return last_;
   }
 
-  force_N_ = feedback.force_N - force_offset_N_;
+  force_N_ = feedback.force_N - last_.context.force_zero_N;
   const double velocity_rad_s = feedback.velocity_rad_s - velocity_offset_rad_s_;
   if (!started_) {
     started_ = true;
@@ -117,7 +117,8 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
   proof_.velocity_rad += velocity_rad_s * kPeriod_s;
   const ForcePair& pair = median_pair({force_N_, feedback.position_rad});
   smooth_force_N_ += 0.3 * (pair.force_N - smooth_force_N_);
-  if (contact_known_) stiffness_.learn(pair.position_rad, pair.force_N, observer_.velocity_rad_s());
+  if (last_.context.contact_known)
+    stiffness_.learn(pair.position_rad, pair.force_N, observer_.velocity_rad_s());
   observer_.predict(plan_->drive, feedback.torque_Nm, std::max(0.0, force_N_));
 
   last_.phase = phase();
@@ -140,8 +141,9 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
   } else {
     const double torque_Nm = decide(feedback);
     const double slope_N_rad =
-        contact_known_ ? stiffness_.curve().slope_N_rad(observer_.position_rad() - stiffness_.contact_rad())
-                       : 0.0;
+        last_.context.contact_known
+            ? stiffness_.curve().slope_N_rad(observer_.position_rad() - stiffness_.contact_rad())
+            : 0.0;
     const ControlLimits limits{.torque_Nm = plan_->torque_limit_Nm};
     last_.torque_Nm =
         limited_torque_Nm(torque_Nm, limits, plan_->drive, observer_.velocity_rad_s(), force_N_, slope_N_rad);
@@ -162,7 +164,7 @@ inline const CheckSequence::ForcePair& CheckSequence::median_pair(const ForcePai
 
 /// Adds to what this run's force is, as a share of what the nominal brake would have at the same compression.
 inline void CheckSequence::compare_stiffness() noexcept {
-  const double u = observer_.position_rad() - proof_.origin_rad;
+  const double u = observer_.position_rad() - last_.context.contact_rad;
   if (u <= 0.0) return;
   const double nominal_N = plan_->drive.stiffness().force_N(u);
   if (nominal_N < kComparedForce_N) return;
@@ -263,8 +265,7 @@ double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
   sum_velocity_rad_s_ += feedback.velocity_rad_s;
   ++tare_samples_;
   if (static_cast<double>(samples_in_stage() + 1) * kPeriod_s < plan_->tare_s) return 0.0;
-  force_offset_N_ = sum_force_N_ / tare_samples_;
-  last_.context.force_zero_N = force_offset_N_;
+  last_.context.force_zero_N = sum_force_N_ / tare_samples_;
   velocity_offset_rad_s_ = sum_velocity_rad_s_ / tare_samples_;
   smooth_force_N_ = 0.0;
   pairs_.fill({0.0, feedback.position_rad});
@@ -290,15 +291,13 @@ FaultCause CheckSequence::prove_motion() const noexcept {
 }
 
 double CheckSequence::approach() noexcept {
-  if (!contact_known_ && smooth_force_N_ > plan_->contact_force_N) {
+  if (!last_.context.contact_known && smooth_force_N_ > plan_->contact_force_N) {
     stiffness_.start(plan_->drive, observer_.position_rad(), smooth_force_N_);
-    contact_known_ = true;
     proof_.contact_rad = observer_.position_rad();
-    proof_.origin_rad = stiffness_.contact_rad();
     last_.context.contact_known = true;
-    last_.context.contact_rad = proof_.origin_rad;
+    last_.context.contact_rad = stiffness_.contact_rad();
   }
-  if (contact_known_ && smooth_force_N_ > kLearnFactor * plan_->contact_force_N) {
+  if (last_.context.contact_known && smooth_force_N_ > kLearnFactor * plan_->contact_force_N) {
     unproven_ = prove_motion();
     enter(Stage::Return);
     return move_to_start();

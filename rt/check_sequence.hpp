@@ -108,7 +108,6 @@ class CheckSequence {
   SequenceOutput last_;
 
   double force_N_ = 0.0;  ///< tared reading
-  double force_offset_N_ = 0.0;
   double velocity_offset_rad_s_ = 0.0;
   double smooth_force_N_ = 0.0;
   std::array<ForcePair, 3> pairs_{};  ///< the last three, oldest first
@@ -135,14 +134,12 @@ class CheckSequence {
     double begin_rad = 0.0;     ///< encoder, where the approach began
     double velocity_rad = 0.0;  ///< travel since, by the velocity
     double contact_rad = 0.0;   ///< encoder, where contact was found
-    double origin_rad = 0.0;    ///< encoder, where the pads begin to touch, by that
   } proof_;
   double run_force_N_ = 0.0;  ///< sums over the present run
   double run_nominal_N_ = 0.0;
   double first_share_ = 0.0;  ///< force over the nominal brake's at the same compression, in the first run
   FaultCause unproven_ = FaultCause::None;
 
-  bool contact_known_ = false;
   MotionObserver observer_;
   StiffnessEstimate stiffness_;
 };

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cstddef>
@@ -21,7 +22,7 @@ class FlightRecorder {
   CLAMPD_REALTIME Sample& next() noexcept {
     Sample& sample = *next_;
     next_ = next_ + 1 < live_.data() + kCapacity ? next_ + 1 : live_.data();
-    ++written_;
+    if (size_ < kCapacity) ++size_;
     return sample;
   }
 
@@ -29,9 +30,8 @@ class FlightRecorder {
   CLAMPD_REALTIME bool capture() noexcept {
     Holder expected = Holder::Nobody;
     if (!holder_.compare_exchange_strong(expected, Holder::Loop, std::memory_order_acquire)) return false;
-    const std::size_t size = written_ < kCapacity ? written_ : kCapacity;
-    for (std::size_t i = 0; i < size; ++i) captured_[i] = live_[(written_ - size + i) % kCapacity];
-    captured_size_ = size;
+    std::rotate_copy(live_.data(), next_, live_.data() + size_, captured_.data());
+    captured_size_ = size_;
     holder_.store(Holder::Nobody, std::memory_order_release);
     return true;
   }
@@ -55,8 +55,8 @@ class FlightRecorder {
   enum class Holder : unsigned char { Nobody, Loop, Reader };
 
   std::array<Sample, kCapacity> live_{};
-  Sample* next_ = live_.data();
-  std::size_t written_ = 0;
+  Sample* next_ = live_.data();  ///< once all places are taken, that of the oldest sample
+  std::size_t size_ = 0;
   mutable std::atomic<Holder> holder_{Holder::Nobody};
   std::array<Sample, kCapacity> captured_{};
   std::size_t captured_size_ = 0;

@@ -335,8 +335,9 @@ FaultCause ReadingMonitor::observe(const BrakeFeedback& feedback, const ReadingC
     --settling_;
     return FaultCause::None;
   }
-  const double largest = std::max(std::max(std::max(torque, position), std::max(by_motion[0], by_motion[1])),
-                                  std::max(force, compression));
+  const double largest =
+      std::max(std::max(std::max(torque, position), std::max(by_motion[kRead], by_motion[kDifferentiated])),
+               std::max(force, compression));
   // Not ">= 1": a level that is no number hides none of the others from the verdict.
   if (largest < 1.0 && !velocity_stuck && !force_stuck) return FaultCause::None;
   return verdict({torque, position, by_motion[kRead], by_motion[kDifferentiated], force, compression,
