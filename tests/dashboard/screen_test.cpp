@@ -179,8 +179,9 @@ TEST_F(Screen, TheSheetStandsBelowTheParameters) {
   ASSERT_TRUE(browser_->becomes("document.querySelectorAll('#sheet .characteristic').length === 3"));
   picture("sheet");
   const std::string text = browser_->text("#sheet");
-  EXPECT_THAT(text, AllOf(HasSubstr("apply-time at force_N 20000"), HasSubstr("0.1458"), HasSubstr("… 0.1 s"),
-                          HasSubstr("FAIL")));
+  EXPECT_THAT(text, AllOf(HasSubstr("apply-time at force_N 20000"), HasSubstr("… 0.1 s"), HasSubstr("FAIL")));
+  // The noise of the readings differs from check to check, and with it the last digits.
+  EXPECT_NEAR(std::stod(browser_->text("#sheet .characteristic b")), 0.1459, 0.0005);
   EXPECT_THAT(text, AllOf(HasSubstr("800 …"), HasSubstr("drag <b>"), HasSubstr("no limits")));
   EXPECT_EQ(browser_->value(kBeyondTheScreen), "");
   EXPECT_THAT(browser_->complaints(), IsEmpty());
