@@ -72,7 +72,6 @@ void Design::divide_into_blocks() {
   }
   fitted_blocks_ = static_cast<int>(blocks_.size());
   blocks_.insert(blocks_.end(), heldout.begin(), heldout.end());
-  products_.assign(blocks_.size(), {});
 }
 
 Eigen::VectorXd Design::rows_of(const BasisFunction& function) const {
@@ -157,32 +156,27 @@ double Design::scale_of_readings(const Actuation& actuation) {
 int Design::add(const Eigen::VectorXd& raw) {
   raw_.push_back(raw);
   whitened_.push_back(whitener_(raw));
-  const auto size = static_cast<Eigen::Index>(raw_.size());
-  const Eigen::VectorXd& mine = whitened_.back();
-  if (total_.rows() < size) {
-    const Eigen::Index capacity = std::max<Eigen::Index>(64, 2 * total_.rows());
-    for (Eigen::MatrixXd& each : products_)
-      each.conservativeResizeLike(Eigen::MatrixXd::Zero(capacity, capacity));
-    total_.conservativeResizeLike(Eigen::MatrixXd::Zero(capacity, capacity));
+  products_.emplace_back(raw_.size());
+  return static_cast<int>(raw_.size()) - 1;
+}
+
+const Eigen::VectorXd& Design::products(int one, int other) const {
+  const auto larger = static_cast<std::size_t>(std::max(one, other)),
+             smaller = static_cast<std::size_t>(std::min(one, other));
+  Eigen::VectorXd& known = products_[larger][smaller];
+  if (known.size() > 0) return known;
+  known = Eigen::VectorXd::Zero(blocks() + 1);
+  for (int b = 0; b < blocks(); ++b) {
+    const auto [from, length] = block(b);
+    known[b] = whitened_[larger].segment(from, length).dot(whitened_[smaller].segment(from, length));
+    if (b < fitted_blocks_) known[blocks()] += known[b];
   }
-  for (Eigen::Index j = 0; j < size; ++j) {
-    const Eigen::VectorXd& other = whitened_[static_cast<std::size_t>(j)];
-    for (std::size_t b = 0; b < blocks_.size(); ++b) {
-      const auto [from, length] = blocks_[b];
-      const double value = mine.segment(from, length).dot(other.segment(from, length));
-      products_[b](size - 1, j) = products_[b](j, size - 1) = value;
-      if (static_cast<int>(b) < fitted_blocks_) {
-        total_(size - 1, j) += value;
-        if (j != size - 1) total_(j, size - 1) += value;
-      }
-    }
-  }
-  return static_cast<int>(size) - 1;
+  return known;
 }
 
 void Design::products_of(const Fit& fit, int block, Eigen::MatrixXd& gram, Eigen::VectorXd& right,
                          double& square) const {
-  const Eigen::MatrixXd& all = block < 0 ? total_ : products_[static_cast<std::size_t>(block)];
+  const auto all = [&](int one, int other) { return products(one, other)[block < 0 ? blocks() : block]; };
   const auto count = static_cast<Eigen::Index>(fit.columns.size());
   gram.resize(count, count);
   right.resize(count);
@@ -322,7 +316,8 @@ double Design::log_occam(const std::vector<int>& columns, int target, double var
     const double prior_a = torque / std::max(1e-300, root_mean_square(a));
     for (Eigen::Index j = 0; j < count; ++j) {
       const int b = columns[static_cast<std::size_t>(j)];
-      matrix(i, j) = prior_a * torque / std::max(1e-300, root_mean_square(b)) * total_(a, b) / variance;
+      matrix(i, j) =
+          prior_a * torque / std::max(1e-300, root_mean_square(b)) * products(a, b)[blocks()] / variance;
     }
     matrix(i, i) += 1.0;
   }

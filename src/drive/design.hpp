@@ -21,9 +21,10 @@ struct Fit {
   bool ok = false;      ///< false: the columns are collinear
 };
 
-/// Whitened columns of all rows, and the products of each two of them, block of rows by block. Every fit,
-/// every block left out and every comparison then costs no more than a few small matrices, on the same rows
-/// with the same likelihood.
+/// Whitened columns of all rows, and the products of two of them, block of rows by block. Every fit, every
+/// block left out and every comparison then costs no more than a few small matrices, on the same rows with
+/// the same likelihood. Products are kept once they were asked for, so that not even a const Design may be
+/// used by two threads.
 class Design {
  public:
   Design(const DriveData& data, const RowNoise& noise);
@@ -85,6 +86,8 @@ class Design {
  private:
   void divide_into_blocks();
   std::vector<double> squares(const Fit& fit, int from_block, int to_block) const;
+  /// Of two whitened columns, one value a block, and at last their sum over the fitted blocks.
+  const Eigen::VectorXd& products(int one, int other) const;
   void products_of(const Fit& fit, int block, Eigen::MatrixXd& gram, Eigen::VectorXd& right,
                    double& square) const;
 
@@ -96,9 +99,8 @@ class Design {
   int fitted_blocks_ = 0;
   std::vector<std::pair<Eigen::Index, Eigen::Index>> blocks_;
   std::vector<Eigen::VectorXd> raw_, whitened_;
-  std::vector<Eigen::MatrixXd>
-      products_;           ///< of each block, lower triangle by rows added one after the other
-  Eigen::MatrixXd total_;  ///< of the fitted blocks
+  /// Of two columns with each other, when first asked for: row by row of a lower triangle.
+  mutable std::vector<std::vector<Eigen::VectorXd>> products_;
   Eigen::VectorXd known_;
   double scale_of_readings(const Actuation& actuation);
 
