@@ -514,12 +514,19 @@ namespace {
 /// Whether two variants are the same but for the free number of their shape.
 bool of_one_form(const Variant& a, const Variant& b) {
   if (free_shape(a) == nullptr || free_shape(b) == nullptr) return a == b;
+  // A power that passes 1 is first viscous friction, and beside it two laws that only differ.
+  if (a.term == DriveTerm::FrictionPower && (*free_shape(a) < 1.0) != (*free_shape(b) < 1.0)) return false;
   return with_shape(a, 1.0) == with_shape(b, 1.0);
 }
 
 /// Whether a shape's number adds to others of its kind, rather than multiplies.
 bool shape_is_additive(const Variant& variant) {
   return variant.term == DriveTerm::TorqueLag && variant.settling_s == 0.0;
+}
+
+bool has_the_order_of_gravity(const Variant& variant) {
+  return variant.term == DriveTerm::Cogging &&
+         std::ranges::any_of(variant.functions, [](const BasisFunction& each) { return each.first == 1.0; });
 }
 
 bool is_periodic(const Variant& variant) {
@@ -669,13 +676,48 @@ TorqueModel Selector::sharpened(TorqueModel model) {
   return model;
 }
 
+/// The orders of a ripple where the likelihood is largest while the other effects are there; whole orders of
+/// a rotary drive stay.
+TorqueModel Selector::with_sharp_orders(TorqueModel model) {
+  constexpr int kRounds = 7;
+  const double period = M_PI / range_.half(), lowest = 2.0 * period;  // two periods over the travel
+  const Variant* ripple = model.part(DriveTerm::Cogging);
+  if (ripple == nullptr || is_base(*ripple)) return model;
+  std::set<double> orders;
+  for (const BasisFunction& function : ripple->functions)
+    if (model_.linear || function.first != std::round(function.first)) orders.insert(function.first);
+  for (double order : orders) {
+    double step = 0.1 * period;
+    for (int round = 0; round < kRounds; ++round) {
+      TorqueModel best;
+      double best_order = order;
+      for (const double other : {order - step, order + step}) {
+        Variant moved = *model.part(DriveTerm::Cogging);
+        for (BasisFunction& function : moved.functions)
+          if (function.first == order) function.first = other;
+        TorqueModel tried = other < lowest ? TorqueModel{} : with(model, moved);
+        if (!tried.ok() || !(tried.evidence > (best.ok() ? best.evidence : model.evidence))) continue;
+        best = std::move(tried);
+        best_order = other;
+      }
+      if (best.ok() && best.evidence > model.evidence) {
+        model = std::move(best);
+        order = best_order;
+      } else {
+        step *= 0.5;
+      }
+    }
+  }
+  return model;
+}
+
 /// Each effect in the form, and all of them with the shapes, that the runs ask for while the others are
 /// there: what a poor form leaves would pass for one more effect.
 TorqueModel Selector::polished(TorqueModel model) {
   constexpr int kRounds = 2;
   for (int round = 0; round < kRounds; ++round) {
     const double start = model.evidence;
-    model = sharpened(std::move(model));
+    model = sharpened(with_sharp_orders(std::move(model)));
     for (const std::string& name : effect_names(model)) {
       const Variant part = *std::ranges::find(model.parts, name, &Variant::name);
       const bool frozen = !part.frozen.empty();
@@ -786,18 +828,31 @@ bool Selector::difference_is_certain(const TorqueModel& better, const TorqueMode
   return difference.count > 0 && difference.mean > kCertain * difference.error;
 }
 
-/// Dry friction that differs by direction and a constant torque are the same while the drive slides: the
-/// constant comes first.
+/// Whether the blocks scatter too much for a load's dependence on the place to be more than a constant.
+bool Selector::is_constant_load(const TorqueModel& model, Variant load) {
+  const auto constant = [](const BasisFunction& each) { return each.factor == BasisFunction::Factor::One; };
+  if (load.term != DriveTerm::LoadPosition || !std::ranges::any_of(load.functions, constant)) return false;
+  std::stable_partition(load.functions.begin(), load.functions.end(), constant);
+  const auto places = static_cast<int>(std::ranges::count_if(load.functions, std::not_fn(constant)));
+  const TorqueModel places_last = with(model, load);
+  return places_last.ok() && places > 0 &&
+         design_.significance_of_last(places_last.fit, places) < critical(load.alternatives);
+}
+
+/// Dry friction that differs by direction and a constant torque are the same while the drive slides, and so
+/// is a load whose dependence on the place is not certain: the constant comes first.
 void Selector::prefer_the_constant(TorqueModel& model) {
   for (std::size_t p = 0; p < model.parts.size(); ++p) {
     const Variant& part = model.parts[p];
+    if (is_base(part)) continue;
     const bool dry_only = part.term == DriveTerm::FrictionAsymmetry && part.functions.size() == 1 &&
                           part.functions.front().factor == BasisFunction::Factor::One;
-    if (!dry_only || is_base(part)) continue;
+    const bool constant = is_constant_load(model, part);
+    if (!dry_only && !constant) continue;
     for (const Variant& variant : pool_)
       if (variant.term == DriveTerm::TorqueOffset)
         if (TorqueModel other = with(without(model, p), variant);
-            other.ok() && other.evidence > model.evidence - kRivalNats) {
+            other.ok() && (constant || other.evidence > model.evidence - kRivalNats)) {
           model = std::move(other);
           return;
         }
@@ -821,6 +876,31 @@ bool Selector::rivals(const TorqueModel& best, const Variant& part, const Torque
   return !difference_is_certain(best, alternative);
 }
 
+/// A ripple of order 2 with others is most often a series that has an order 1, too, which nothing tells from
+/// gravity: both are one effect then, and gravity its rival. Where order 1 is by far the largest, it is
+/// gravity.
+void Selector::count_gravity_to_its_harmonics(TorqueModel& model) {
+  constexpr double kBesideHarmonics = 4.0;
+  const auto place = [&](DriveTerm term) { return std::ranges::find(model.parts, term, &Variant::term); };
+  const auto gravity = place(DriveTerm::Gravity), ripple = place(DriveTerm::Cogging);
+  if (gravity == model.parts.end() || ripple == model.parts.end() ||
+      gravity->functions.front().first != 1.0 ||
+      !std::ranges::any_of(ripple->functions, [](const BasisFunction& each) { return each.first == 2.0; }))
+    return;
+  double first = 0.0, others = 0.0;
+  for (const FittedTerm& term : terms_of(model))
+    for (const double coefficient : term.coefficients) {
+      if (term.term == DriveTerm::Gravity) first = std::max(first, std::abs(coefficient));
+      if (term.term == DriveTerm::Cogging) others = std::max(others, std::abs(coefficient));
+    }
+  if (first > kBesideHarmonics * others) return;
+  std::vector<Variant> parts = model.parts;
+  Variant& series = parts[static_cast<std::size_t>(ripple - model.parts.begin())];
+  series.functions.insert(series.functions.begin(), gravity->functions.begin(), gravity->functions.end());
+  parts.erase(parts.begin() + (gravity - model.parts.begin()));
+  if (TorqueModel together = fitted(std::move(parts)); together.ok()) model = std::move(together);
+}
+
 void Selector::find_rivals(Selection& selection) {
   const TorqueModel& best = selection.best;
   for (std::size_t p = 0; p < best.parts.size(); ++p) {
@@ -840,6 +920,7 @@ void Selector::find_rivals(Selection& selection) {
            rivals(best, best.parts[p], smaller, simple)))
         group.push_back(name);
     }
+    if (has_the_order_of_gravity(best.parts[p])) group.emplace_back(name_of(DriveTerm::Gravity));
     if (group.size() > 1) selection.rivals.push_back(std::move(group));
   }
 }
@@ -918,6 +999,7 @@ Selection Selector::run(const std::function<void(double)>& progress) {
       break;
   }
   prefer_the_constant(selection.best);
+  count_gravity_to_its_harmonics(selection.best);
   for (const std::string& name : effect_names(selection.best))
     selection.best =
         refined(selection.best, std::ranges::find(selection.best.parts, name, &Variant::name)->term);

@@ -34,7 +34,7 @@ struct Builder {
 };
 
 std::vector<Variant> friction_powers(Builder builder, const DriveRange& range) {
-  for (const double power : {0.15, 0.3, 0.45, 0.6, 0.75, 1.3, 1.6, 2.5, 3.0}) {
+  for (const double power : {0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 1.2, 1.6, 2.5, 3.0}) {
     const BasisFunction common{Carrier::Direction, Factor::Power, range.fast, power};
     const BasisFunction differs{Carrier::Sliding, Factor::Power, range.fast, power};
     builder.add({common}).replaces_viscous = true;

@@ -278,6 +278,21 @@ TEST(DriveDiagnosis, AnEffectHasItsBestFormBeforeAnotherOneIsSought) {
   }
 }
 
+// A sine once a turn is gravity, or the first order of a ripple whose harmonics are there, too.
+TEST(DriveDiagnosis, GravityIsARivalOfARippleWithItsHarmonics) {
+  Truth series, pendulum;
+  series.extra = [](double q, double, int) {
+    return 0.03 * std::sin(q) + 0.02 * std::cos(2.0 * q) + 0.015 * std::sin(3.0 * q);
+  };
+  pendulum.extra = [](double q, double, int) { return 0.2 * std::sin(q) + 0.02 * std::cos(2.0 * q); };
+  const Diagnosis ripple = diagnosed(simulate_set(series, 331));
+  EXPECT_EQ(ripple.verdict, DiagnosisVerdict::Ambiguous) << ripple.summary;
+  EXPECT_THAT(names(ripple), ElementsAre("cogging")) << ripple.summary;
+  EXPECT_THAT(ripple.rivals, ::testing::Contains(ElementsAre("cogging", "gravity")));
+  const Diagnosis swinging = diagnosed(simulate_set(pendulum, 332));
+  EXPECT_THAT(names(swinging), ::testing::UnorderedElementsAre("gravity", "cogging")) << swinging.summary;
+}
+
 TEST(DriveDiagnosis, WhatIsNotOnTheListHasNoName) {
   Truth bump;
   bump.extra = [](double q, double, int) { return 0.06 * std::exp(-(q - 3.0) * (q - 3.0) / 4.0); };
