@@ -1,4 +1,4 @@
-#include "src/archive/compression.hpp"
+#include "clampd/archive/compression.hpp"
 
 #include <zlib.h>
 

@@ -7,7 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/record/checksum.hpp"
-#include "src/archive/compression.hpp"
+#include "clampd/archive/compression.hpp"
 
 namespace clampd {
 namespace {

@@ -68,7 +68,8 @@ Result<void> Publisher::work() {
     return attended;
   }
   const OutboxEntry& entry = **next;
-  const Result<CheckRecord> record = store_->load_result(entry.check_id);
+  const Result<CheckRecord> record =
+      way_->wants_raw_runs() ? store_->load(entry.check_id) : store_->load_result(entry.check_id);
   if (!record) return tl::unexpected(record.error());
   const bool late = entry.queued < connected_since_;
   if (Result<void> sent = way_->send({*record, entry.sequence, late}, wake_); !sent) return sent;

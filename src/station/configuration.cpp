@@ -331,6 +331,7 @@ void read_postgresql(TableReader& reader, const std::string& folder, PostgresqlC
   reader.text("user", p.user);
   reader.path("password_file", p.password_file, folder);
   reader.path("tls_ca_file", p.tls_ca_file, folder);
+  reader.boolean("raw_runs", p.raw_runs);
 }
 
 /// After [mqtt] and [postgresql]: a channel that is not there never publishes, and the disk would fill.

@@ -1,6 +1,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "clampd/archive/compression.hpp"
+#include "clampd/record/checksum.hpp"
 #include "publish/servers.hpp"
 #include "publish/station_fixture.hpp"
 
@@ -88,6 +90,43 @@ TEST_F(Postgresql, KeepsEveryCheckOnceAndInOrder) {
   EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.runs"), std::to_string(21 * 2));
 }
 
+TEST_F(Postgresql, KeepsRawRunsOnceBesideTheirCheck) {
+  PostgresqlSettings with_runs = settings();
+  with_runs.raw_runs = true;
+  station.start(make_postgresql_channel(with_runs));
+  std::vector<CheckRecord> checks;
+  for (int number = 1; number <= 3; ++number) {
+    CheckRecord& check = checks.emplace_back(PublishingStation::check(number));
+    for (RunRecord& run : check.runs) {
+      run.run.force_N[0] = number;  // each check has runs of its own
+      run.checksum_sha256 = sha256_hex(format_run(run.run));
+    }
+    check.started = number < 3 ? "2026-11-30T23:59:59.999Z" : "2026-12-01T00:00:00.000Z";
+    ASSERT_TRUE(station.store().save(check));
+  }
+  ASSERT_TRUE(eventually([&] { return station.pending() == 0; })) << station.status().error;
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.raw_runs"), "6");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.runs r JOIN clampd.raw_runs w USING (sha256)"), "6");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.raw_runs_2026_12"), "2");
+  const std::string hex = server->ask("SELECT encode(data, 'hex') FROM clampd.raw_runs WHERE sha256 = '" +
+                                      checks[2].runs[1].checksum_sha256 + "'");
+  std::string data;
+  for (std::size_t i = 0; i + 1 < hex.size(); i += 2)
+    data += static_cast<char>(std::stoi(hex.substr(i, 2), nullptr, 16));
+  EXPECT_EQ(decompressed(data).value_or(""), format_run(checks[2].runs[1].run));
+
+  // Sent again as after a lost mark: the same rows.
+  ASSERT_TRUE(
+      station.store().mark_publication(PublishingStation::id(2), "postgresql", PublicationState::Pending));
+  ASSERT_TRUE(eventually([&] { return station.pending() == 0; })) << station.status().error;
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.raw_runs"), "6");
+
+  // Retention drops whole months, and only before the given one.
+  EXPECT_EQ(server->ask("SELECT clampd.drop_raw_runs('2026-12-31Z')"), "1");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.raw_runs"), "2");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks"), "3");
+}
+
 TEST_F(Postgresql, NothingIsLostWhileTheServerComesAndGoes) {
   station.start(make_postgresql_channel(settings()));
   for (int round = 1; round <= 4; ++round) {
@@ -112,7 +151,7 @@ TEST_F(Postgresql, StationsShareADatabaseAndLaterOnesNeedFewRights) {
   other.start(make_postgresql_channel(settings()));
   ASSERT_TRUE(eventually([&] { return station.pending() == 0 && other.status().connected; }))
       << other.status().error;
-  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "2");
+  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "3");
   other.stop();
   server->column("CREATE ROLE bench LOGIN");
   PostgresqlSettings poor = settings();

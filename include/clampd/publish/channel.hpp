@@ -20,7 +20,7 @@ struct ConnectionContext {
 
 /// A check on its way out.
 struct Publication {
-  const CheckRecord& record;  ///< without raw runs
+  const CheckRecord& record;  ///< its runs without rows, unless the channel wants_raw_runs()
   std::int64_t sequence = 0;  ///< in the channel's outbox
   bool late = false;          ///< it was saved before this connection was made
 };
@@ -30,6 +30,8 @@ struct Publication {
 class Channel {
  public:
   virtual ~Channel() = default;
+  /// Whether it sends the runs' rows too.
+  virtual bool wants_raw_runs() const { return false; }
 
   virtual Result<void> connect(const ConnectionContext& context, const WakeEvent& wake) = 0;
   /// Returns once the other side has acknowledged: from then on it answers for the check.
@@ -64,6 +66,7 @@ struct PostgresqlSettings {
   std::string user;           ///< empty: as the operating system calls the station's user
   std::string password_file;  ///< read at every connect; empty: none
   std::string tls_ca_file;    ///< empty: encrypted if the server can, its certificate not verified
+  bool raw_runs = false;      ///< the runs themselves too, once each
 };
 std::unique_ptr<Channel> make_postgresql_channel(PostgresqlSettings settings);
 

@@ -175,6 +175,7 @@ struct PostgresqlConfiguration {
   std::string user;           ///< empty: as the system calls the station's user
   std::string password_file;  ///< its first line is the password
   std::string tls_ca_file;    ///< empty: encrypted if the server can
+  bool raw_runs = false;      ///< the runs themselves too, so that they can be identified anew there
 
   bool used() const { return !host.empty(); }
 };

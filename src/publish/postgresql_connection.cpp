@@ -1,0 +1,180 @@
+#include <array>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "src/publish/password.hpp"
+#include "src/publish/postgresql_connection.hpp"
+#include "src/publish/reachable.hpp"
+
+namespace clampd::publish {
+namespace {
+
+/// Step i brings the schema from version i to i + 1. Steps only add, so that stations of different versions
+/// may share a database; they are never changed.
+constexpr std::array<const char*, 3> kMigrations{
+    R"sql(
+CREATE TABLE clampd.checks (
+  id text PRIMARY KEY,
+  serial text NOT NULL, part_number text NOT NULL, batch text NOT NULL,
+  station text NOT NULL, fixture text NOT NULL, operator text NOT NULL, software_version text NOT NULL,
+  limits_file text NOT NULL, limits_revision text NOT NULL, limits_sha256 text NOT NULL,
+  trajectory_sha256 text NOT NULL, instruments jsonb NOT NULL, simulated boolean NOT NULL,
+  started timestamptz, stopped timestamptz, duration_s double precision, repeats integer NOT NULL,
+  verdict text NOT NULL, marginal boolean NOT NULL, reason text NOT NULL, fault text NOT NULL, cause jsonb,
+  method text NOT NULL, noise_force_n double precision, noise_velocity_rad_s double precision,
+  noise_torque_nm double precision, tracking_rms_n double precision, timing jsonb NOT NULL,
+  covariance_normalised jsonb NOT NULL,
+  outbox_sequence bigint NOT NULL, published timestamptz NOT NULL DEFAULT now());
+CREATE INDEX checks_by_serial ON clampd.checks (serial, started);
+CREATE INDEX checks_by_station ON clampd.checks (station, started);
+CREATE INDEX checks_by_time ON clampd.checks (started);
+CREATE TABLE clampd.parameters (
+  check_id text NOT NULL REFERENCES clampd.checks (id) ON DELETE CASCADE, position integer NOT NULL,
+  name text NOT NULL, unit text NOT NULL, value double precision, sd double precision,
+  lower double precision, upper double precision, verdict text NOT NULL, PRIMARY KEY (check_id, position));
+CREATE INDEX parameters_by_name ON clampd.parameters (name, check_id);
+CREATE TABLE clampd.runs (
+  check_id text NOT NULL REFERENCES clampd.checks (id) ON DELETE CASCADE, position integer NOT NULL,
+  name text NOT NULL, sha256 text NOT NULL, tracking_rms_n double precision, tracking_max_n double precision,
+  fit_force_rms_n double precision, fit_velocity_rms_rad_s double precision, converged boolean NOT NULL,
+  estimate jsonb NOT NULL, PRIMARY KEY (check_id, position));
+)sql",
+    R"sql(
+ALTER TABLE clampd.checks ADD COLUMN sheet jsonb;
+)sql",
+    // The runs themselves: a partition a month, made by whoever sends the
+    // first run of that month, and dropped as a whole. The functions act
+    // with their owner's rights, so that a station needs none to make tables.
+    R"sql(
+CREATE TABLE clampd.raw_runs (
+  sha256 text NOT NULL, recorded timestamptz NOT NULL, data bytea NOT NULL,
+  PRIMARY KEY (sha256, recorded)) PARTITION BY RANGE (recorded);
+ALTER TABLE clampd.raw_runs ALTER COLUMN data SET STORAGE EXTERNAL;
+ALTER TABLE clampd.checks ADD COLUMN tare jsonb;
+CREATE FUNCTION clampd.prepare_raw_runs(moment timestamptz) RETURNS void
+LANGUAGE plpgsql SECURITY DEFINER SET search_path = pg_catalog, pg_temp AS $$
+DECLARE
+  first timestamp := date_trunc('month', moment AT TIME ZONE 'UTC');
+  partition text := 'raw_runs_' || to_char(first, 'YYYY_MM');
+BEGIN
+  IF to_regclass('clampd.' || partition) IS NOT NULL THEN RETURN; END IF;
+  PERFORM pg_advisory_xact_lock(4093081970);
+  EXECUTE format('CREATE TABLE IF NOT EXISTS clampd.%I PARTITION OF clampd.raw_runs FOR VALUES FROM (%L) TO (%L)',
+    partition, first AT TIME ZONE 'UTC', (first + interval '1 month') AT TIME ZONE 'UTC');
+END $$;
+CREATE FUNCTION clampd.drop_raw_runs(before timestamptz) RETURNS integer
+LANGUAGE plpgsql SECURITY DEFINER SET search_path = pg_catalog, pg_temp AS $$
+DECLARE
+  old record;
+  dropped integer := 0;
+BEGIN
+  FOR old IN SELECT c.relname FROM pg_inherits i JOIN pg_class c ON c.oid = i.inhrelid
+      WHERE i.inhparent = 'clampd.raw_runs'::regclass
+        AND c.relname < 'raw_runs_' || to_char(before AT TIME ZONE 'UTC', 'YYYY_MM') LOOP
+    EXECUTE format('DROP TABLE clampd.%I', old.relname);
+    dropped := dropped + 1;
+  END LOOP;
+  RETURN dropped;
+END $$;
+REVOKE ALL ON FUNCTION clampd.drop_raw_runs(timestamptz) FROM PUBLIC;
+)sql"};
+
+/// A value of a connection string.
+std::string quoted(const std::string& text) {
+  std::string value = "'";
+  for (const char c : text) {
+    if (c == '\'' || c == '\\') value += '\\';
+    value += c;
+  }
+  return value + "'";
+}
+
+std::string first_line(std::string_view text) {
+  return std::string(text.substr(0, text.find('\n')));
+}
+
+void bring_up_to_date(pqxx::connection& connection) {
+  pqxx::work transaction(connection);
+  // Only one station at a time; the number is ours alone.
+  transaction.exec("SELECT pg_advisory_xact_lock(4093081970)");
+  int version = 0;
+  if (transaction.exec1("SELECT to_regclass('clampd.migrations') IS NULL")[0].as<bool>()) {
+    transaction.exec("CREATE SCHEMA IF NOT EXISTS clampd");
+    transaction.exec(
+        "CREATE TABLE clampd.migrations (version integer PRIMARY KEY, applied timestamptz NOT NULL DEFAULT "
+        "now())");
+  } else {
+    version = transaction.exec1("SELECT COALESCE(MAX(version), 0) FROM clampd.migrations")[0].as<int>();
+  }
+  for (std::size_t step = static_cast<std::size_t>(version); step < kMigrations.size(); ++step) {
+    transaction.exec(kMigrations[step]);
+    transaction.exec_params("INSERT INTO clampd.migrations (version) VALUES ($1)",
+                            static_cast<int>(step + 1));
+  }
+  transaction.commit();
+}
+
+}  // namespace
+
+std::string PostgresqlConnection::where() const {
+  return fmt::format("PostgreSQL: {}, database {}", settings_.host, settings_.database);
+}
+
+Result<void> PostgresqlConnection::open(const WakeEvent& wake) {
+  close();
+  if (settings_.host.rfind('/', 0) != 0)
+    if (Result<void> there = reachable(settings_.host, settings_.port, wake); !there)
+      return failure("PostgreSQL: " + there.error().message + " ([postgresql] host, port)");
+  const Result<std::string> password = read_password(settings_.password_file);
+  if (!password) return failure("PostgreSQL: " + password.error().message + " ([postgresql] password_file)");
+  try {
+    connection_ = std::make_unique<pqxx::connection>(description(*password));
+  } catch (const std::exception& refused) {
+    return failure(fmt::format(
+        "{}: no connection: {} ([postgresql] host, port, database, user, password_file, tls_ca_file)",
+        where(), first_line(refused.what())));
+  }
+  return guarded([](pqxx::connection& connection) {
+    // A server that hangs must not hang the station's end.
+    connection.set_variable("statement_timeout", "'10s'");
+    connection.set_variable("lock_timeout", "'10s'");
+  });
+}
+
+Result<void> PostgresqlConnection::migrate() {
+  return guarded(bring_up_to_date);
+}
+
+std::string PostgresqlConnection::description(const std::string& password) const {
+  std::string text = fmt::format(
+      "host={} port={} dbname={} connect_timeout=5 tcp_user_timeout=15000 keepalives_idle=15 "
+      "keepalives_interval=5 keepalives_count=3 client_encoding=UTF8 application_name=clampd",
+      quoted(settings_.host), settings_.port, quoted(settings_.database));
+  if (!settings_.user.empty()) text += " user=" + quoted(settings_.user);
+  if (!password.empty()) text += " password=" + quoted(password);
+  if (!settings_.tls_ca_file.empty())
+    text += " sslmode=verify-full sslrootcert=" + quoted(settings_.tls_ca_file);
+  return text;
+}
+
+Result<void> PostgresqlConnection::guarded(const std::function<void(pqxx::connection&)>& work) {
+  try {
+    work(*connection_);
+    return {};
+  } catch (const pqxx::insufficient_privilege& refused) {
+    return failure(
+        fmt::format("{}: {}: the user needs CREATE on the database once, and then INSERT and SELECT in "
+                    "schema clampd",
+                    where(), first_line(refused.what())));
+  } catch (const pqxx::broken_connection& broken) {
+    return failure(
+        fmt::format("{}: no connection: {} ([postgresql] host, port, database, user, password_file, "
+                    "tls_ca_file)",
+                    where(), first_line(broken.what())));
+  } catch (const std::exception& refused) {
+    return failure(fmt::format("{}: {}: look at the server's log", where(), first_line(refused.what())));
+  }
+}
+
+}  // namespace clampd::publish
