@@ -68,8 +68,10 @@ Result<void> Publisher::work() {
     return attended;
   }
   const OutboxEntry& entry = **next;
-  const Result<CheckRecord> record =
-      way_->wants_raw_runs() ? store_->load(entry.check_id) : store_->load_result(entry.check_id);
+  const bool with_rows = way_->wants_raw_runs();
+  Result<CheckRecord> record = with_rows ? store_->load(entry.check_id) : store_->load_result(entry.check_id);
+  // Damaged runs hold up no verdict: it goes without them, and `records verify` names them.
+  if (!record && with_rows) record = store_->load_result(entry.check_id);
   if (!record) return tl::unexpected(record.error());
   const bool late = entry.queued < connected_since_;
   if (Result<void> sent = way_->send({*record, entry.sequence, late}, wake_); !sent) return sent;

@@ -1,3 +1,4 @@
+#include <SQLiteCpp/SQLiteCpp.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -125,6 +126,19 @@ TEST_F(Postgresql, KeepsRawRunsOnceBesideTheirCheck) {
   EXPECT_EQ(server->ask("SELECT clampd.drop_raw_runs('2026-12-31Z')"), "1");
   EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.raw_runs"), "2");
   EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks"), "3");
+}
+
+TEST_F(Postgresql, ADamagedRunHoldsUpNoVerdict) {
+  station.save_up_to(3);
+  SQLite::Database(station.database(), SQLite::OPEN_READWRITE)
+      .exec("UPDATE runs SET csv = '', data = x'00' WHERE position = 1 AND check_id = '" +
+            PublishingStation::id(2) + "'");
+  PostgresqlSettings with_runs = settings();
+  with_runs.raw_runs = true;
+  station.start(make_postgresql_channel(with_runs));
+  ASSERT_TRUE(eventually([&] { return station.pending() == 0; })) << station.status().error;
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks"), "3");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.runs"), "6");
 }
 
 TEST_F(Postgresql, NothingIsLostWhileTheServerComesAndGoes) {
