@@ -38,14 +38,10 @@ publish::MqttSettings mqtt_settings(const StationConfiguration& configuration) {
   return settings;
 }
 
-}  // namespace
-
 publish::PostgresqlSettings postgresql_settings(const PostgresqlConfiguration& postgresql) {
   return {postgresql.host,          postgresql.port,        postgresql.database, postgresql.user,
           postgresql.password_file, postgresql.tls_ca_file, postgresql.raw_runs};
 }
-
-namespace {
 
 std::string where(const StationConfiguration& configuration, const std::string& channel) {
   return channel == kMqtt ? fmt::format("{}:{}", configuration.mqtt.host, configuration.mqtt.port)

@@ -52,7 +52,7 @@ void insert_raw_runs(pqxx::work& transaction, const CheckRecord& record) {
   if (record.started.empty() || record.runs.empty()) return;
   transaction.exec_params("SELECT clampd.prepare_raw_runs($1::timestamptz)", record.started);
   for (const RunRecord& run : record.runs)
-    if (run.run.size() > 0)  // else retention removed it before raw runs were published
+    if (run.run.size() > 0)  // else retention removed it before raw runs were published, or it is damaged
       transaction.exec_params(kInsertRawRun, run.checksum_sha256, record.started,
                               pqxx::binarystring(compressed(format_run(run.run))));
 }

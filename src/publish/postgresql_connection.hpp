@@ -3,6 +3,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 
 #include <pqxx/pqxx>
 
@@ -24,10 +25,10 @@ class PostgresqlConnection {
   /// Calls `work` with the connection; what it throws becomes an error.
   Result<void> guarded(const std::function<void(pqxx::connection&)>& work);
   void close() noexcept { connection_.reset(); }
-  /// "PostgreSQL: HOST, database NAME".
-  std::string where() const;
 
  private:
+  /// "PostgreSQL: HOST, database NAME".
+  std::string where() const;
   std::string description(const std::string& password) const;
 
   PostgresqlSettings settings_;

@@ -46,9 +46,6 @@ class Publishing {
 /// "nothing waits", or how many checks do and for how long.
 std::string waiting_text(std::size_t pending, double oldest_age_s);
 
-/// How [postgresql] is reached.
-publish::PostgresqlSettings postgresql_settings(const PostgresqlConfiguration& postgresql);
-
 /// The configured channels' names.
 std::vector<std::string> publication_channels(const StationConfiguration& configuration);
 
