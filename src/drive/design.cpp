@@ -89,12 +89,14 @@ Eigen::VectorXd Design::rows_of(const BasisFunction& function) const {
       continue;
     }
     const DriveMotion& motion = run.motion;
-    std::vector<double> samples(motion.time_s.size()), columns, travel;
-    if (function.factor == Factor::Reversal) travel = motion.travel_over(function.first);
+    std::vector<double> samples(motion.time_s.size()), columns, lacking;
+    if (function.factor == Factor::Reversal) lacking = motion.lacking_friction(function.first);
     for (std::size_t i = 0; i < samples.size(); ++i) {
-      DriveState state = motion.state(i, run.run, columns);
-      if (!travel.empty()) state.travel = travel[i];
-      samples[i] = value_of(function, state);
+      if (lacking.empty())
+        samples[i] = value_of(function, motion.state(i, run.run, columns));
+      else
+        samples[i] =
+            lacking[i] * (function.carrier == Carrier::Velocity ? std::abs(motion.velocity[i]) : 1.0);
       // What turns by more than four fifths of half a period from one reading to the next is an alias of
       // something else.
       if (periodic && function.first * std::abs(motion.velocity[i]) * data_.sample_s > 0.8 * M_PI)

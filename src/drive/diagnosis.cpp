@@ -98,7 +98,8 @@ void prepare_noise(Workshop& shop, const DriveModel& model, double false_alarm, 
       noise = model.steady ? RowNoise{} : noise_of(shop.data, shop.design->residuals(rich.fit));
     } else {
       shop.options.overdispersion = shop.design->overdispersion(rich.fit);
-      if (!model.steady && model.part(DriveTerm::TorqueLag).use != PartUse::Off)
+      if (!model.steady && model.part(DriveTerm::TorqueLag).use != PartUse::Off &&
+          rich.part(DriveTerm::TorqueLag) == nullptr)
         shop.options.lag_s = alignment_s(selector, rich, shop.data.sample_s);
     }
   }
@@ -279,6 +280,12 @@ Result<RecordedRuns> recorded_runs(std::span<const Run> runs, std::span<const Ru
   return readings;
 }
 
+/// How much later than its reading the torque seems to act.
+double delay_s(const std::vector<DataFinding>& findings) {
+  const auto delay = std::ranges::find(findings, "torque-delay", &DataFinding::name);
+  return delay == findings.end() ? 0.0 : -delay->size;
+}
+
 /// What was done to the readings before any model saw them.
 void add_preparation(const Workshop& shop, const DriveModel& model, Diagnosis& diagnosis) {
   diagnosis.notices = shop.data.notices;
@@ -452,7 +459,7 @@ Result<void> furnish(Workshop& shop, std::span<const Run> runs, const DriveModel
   Result<RecordedRuns> readings = recorded_runs(runs, options.heldout, model);
   if (!readings) return tl::unexpected(readings.error());
   progress(0.1, "motion");
-  Result<DriveData> data = prepare(readings->runs, runs.size(), model);
+  Result<DriveData> data = prepare(readings->runs, runs.size(), model, delay_s(readings->findings));
   if (!data) return tl::unexpected(data.error());
   readings->runs.clear();
   shop.data = std::move(*data);

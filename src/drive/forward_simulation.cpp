@@ -157,9 +157,9 @@ void ForwardSimulation::step(double torque, double step_s, Motion& motion) {
   motion.advance(step_s, length_);
 }
 
-/// Inertia over viscous friction at a speed.
+/// Inertia over viscous friction at a speed, right after a reversal, where bristles damp most.
 double ForwardSimulation::viscous_time_s(double speed) {
-  const Motion rest;
+  const Motion rest{.travel = 0.0};
   state_.velocity = 0.0;
   const double still = needed(0.0, 0.0, rest), inertia = needed(1.0, 0.0, rest) - still;
   state_.velocity = speed;

@@ -255,7 +255,9 @@ std::vector<EstimatedParameter> Estimate::effect_parameters(const Variant& varia
     case DriveTerm::FrictionPower:
       return power_law(variant, first);
     case DriveTerm::Presliding:
-      return {one("level", units_.torque), shape_of(variant, "length", units_.position)};
+      if (!two) return {one("level", units_.torque), shape_of(variant, "length", units_.position)};
+      return {one("level", units_.torque), shape_of(variant, "length", units_.position),
+              one("damping", units_.per_velocity, 1, -1.0)};
     case DriveTerm::Cogging:
       return cogging(variant, first);
     case DriveTerm::FrictionPosition:

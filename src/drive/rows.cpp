@@ -366,6 +366,9 @@ RowUse use_of(const DriveRows& rows, const Run& run, std::size_t first, const st
   return std::min(forward, backward) + standstill > kMaxReversal ? RowUse::Reversal : RowUse::Used;
 }
 
+/// In which the past is forgotten, but for a hundredth; and the share of a run that may go for it.
+constexpr double kTimeConstants = 5.0, kMostOfARun = 0.03;
+
 DriveRows rows_of(const Run& run, double cut_off_Hz, DriveData& data, std::array<double, kRowUses>& seconds) {
   DriveRows rows;
   rows.name = run.name;
@@ -373,9 +376,11 @@ DriveRows rows_of(const Run& run, double cut_off_Hz, DriveData& data, std::array
   const std::span<const double> time_s(rows.motion.time_s);
   const double sd_s = gaussian_sd_s(cut_off_Hz);
   const double margin_s = 3.0 * sd_s + 1.0 / (3.0 * cut_off_Hz);
+  // What a torque that is late does at first was asked for before the record began.
+  const double past_s = std::min(kTimeConstants * std::abs(data.delay_s), kMostOfARun * time_s.back());
   const double step_s = kRowsPerCutOff / cut_off_Hz;
   const double longest_gap_s = std::max(step_s, 3.0 * median_step(time_s));
-  for (double at_s = margin_s; at_s <= time_s.back() - margin_s; at_s += step_s) {
+  for (double at_s = margin_s + past_s; at_s <= time_s.back() - margin_s; at_s += step_s) {
     std::size_t first = 0;
     std::vector<double> weights = kernel(time_s, at_s, sd_s, first);
     const RowUse use = use_of(rows, run, first, weights, longest_gap_s);
@@ -457,8 +462,9 @@ void subtract_load(Run& run) {
 
 /// At the cut-off given.
 DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model,
-                     double cut_off_Hz, bool keeps_reversals = false) {
+                     double cut_off_Hz, double delay_s, bool keeps_reversals = false) {
   DriveData data;
+  data.delay_s = delay_s;
   data.keeps_reversals = keeps_reversals;
   data.cut_off_Hz = cut_off_Hz;
   data.position_absolute = !runs.front().position_rad.empty();
@@ -490,14 +496,20 @@ DriveData prepare_at(std::span<const Run> runs, std::size_t heldout_from, const 
   if (count > 0.0) data.noise = {std::sqrt(torque_square / count), std::sqrt(acceleration_square / count)};
   // A drive that swings to and fro all the time has hardly any other rows.
   if (!keeps_reversals && seconds[0] < seconds[static_cast<std::size_t>(RowUse::Reversal)])
-    return prepare_at(runs, heldout_from, model, cut_off_Hz, true);
+    return prepare_at(runs, heldout_from, model, cut_off_Hz, delay_s, true);
   count_rows(runs, seconds, data);
   return data;
 }
 
-/// What the noise of the acceleration makes of the torque, root mean square over the torque's own: by a rough
-/// fit of inertia and friction.
-double torque_of_acceleration_noise(const DriveData& data) {
+/// By a rough fit of inertia and friction.
+struct RoughInertia {
+  double inertia = kInfinity;
+  double noise = kInfinity;  ///< of the acceleration, over the variation of the torque
+  bool is_clear = false;     ///< the acceleration is hardly noise
+  bool is_known = false;     ///< and the torque goes with it
+};
+RoughInertia rough_inertia(const DriveData& data) {
+  constexpr double kHardly = 0.02, kGoesWith = 0.3;
   Eigen::Matrix4d gram = Eigen::Matrix4d::Zero();
   Eigen::Vector4d right = Eigen::Vector4d::Zero();
   double square = 0.0, count = 0.0, sum = 0.0;
@@ -510,33 +522,50 @@ double torque_of_acceleration_noise(const DriveData& data) {
       sum += run.torque[i];
       count += 1.0;
     }
-  if (count < 20.0) return kInfinity;
+  if (count < 20.0) return {};
   const double noise = std::pow(data.noise.acceleration, 2), measured = gram(0, 0) / count;
   const Eigen::Vector4d scale = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
   const Eigen::Matrix4d scaled =
       scale.asDiagonal() * gram * scale.asDiagonal() + 1e-9 * Eigen::Matrix4d::Identity();
-  const Eigen::Vector4d fitted = scale.asDiagonal() * (scaled.inverse() * (scale.asDiagonal() * right));
+  const Eigen::Matrix4d inverse = scale.asDiagonal() * scaled.inverse() * scale.asDiagonal();
+  const Eigen::Vector4d fitted = inverse * right;
+  const double taken = fitted[0] * fitted[0] / inverse(0, 0), left = square - right.dot(fitted);
   // Noise hides the inertia as it hides the acceleration.
   const double hidden = std::max(0.1, 1.0 - noise / std::max(measured, 1e-300));
   const double variation = std::sqrt(std::max(1e-300, square / count - std::pow(sum / count, 2)));
-  return std::abs(fitted[0]) / hidden * data.noise.acceleration / variation;
+  const bool clear = noise < kHardly * measured;
+  return {std::abs(fitted[0]) / hidden, data.noise.acceleration / variation, clear,
+          clear && taken > kGoesWith * (taken + left)};
 }
 
-/// Lowers the cut-off until the noise of the acceleration is of no account in the torque, or nothing is
-/// gained.
-double cut_off_for_acceleration(std::span<const Run> runs, const DriveModel& model, double cut_off_Hz) {
+/// The highest cut-off with which the noise of the acceleration is of no account in the torque; where there
+/// is none, the lowest with which something is gained. While the acceleration is mostly noise, no fit tells
+/// how much torque it makes: the inertia is that of the first cut-off with which it is hardly any.
+double cut_off_for_acceleration(std::span<const Run> runs, const DriveModel& model, double highest_Hz) {
+  constexpr std::size_t kMostRounds = 12;
+  constexpr double kStep = 1.3;
   double longest_s = 0.0;
   for (const Run& run : runs) longest_s = std::max(longest_s, run.time_s.back() - run.time_s.front());
-  double last_share = kInfinity;
-  for (int round = 0; round < 12; ++round) {
-    const DriveData data = prepare_at(runs, runs.size(), model, cut_off_Hz);
-    const double share = torque_of_acceleration_noise(data);
-    if (share <= kAccelerationNoise || (std::isfinite(share) && share > 0.95 * last_share)) break;
-    if (cut_off_Hz / 1.3 * longest_s < 40.0) break;
-    last_share = share;
-    cut_off_Hz /= 1.3;
+  std::vector<RoughInertia> tried;
+  for (double cut_off_Hz = highest_Hz; tried.size() < kMostRounds; cut_off_Hz /= kStep) {
+    tried.push_back(rough_inertia(prepare_at(runs, runs.size(), model, cut_off_Hz, 0.0)));
+    if (tried.back().is_clear || cut_off_Hz / kStep * longest_s < 40.0) break;
   }
-  return cut_off_Hz;
+  const bool known = tried.back().is_known;
+  const auto noise_in_torque = [&](const RoughInertia& rough) {
+    return (known ? tried.back().inertia : rough.inertia) * rough.noise;
+  };
+  for (std::size_t round = 0;; ++round) {
+    const double noise = noise_in_torque(tried[round]);
+    const double cut_off_Hz = highest_Hz / std::pow(kStep, static_cast<double>(round));
+    const bool gained =
+        round == 0 || !std::isfinite(noise) || noise < 0.95 * noise_in_torque(tried[round - 1]);
+    if (noise <= kAccelerationNoise || !gained || cut_off_Hz / kStep * longest_s < 40.0 ||
+        round + 1 == kMostRounds)
+      return cut_off_Hz;
+    if (round + 1 == tried.size())
+      tried.push_back(rough_inertia(prepare_at(runs, runs.size(), model, cut_off_Hz / kStep, 0.0)));
+  }
 }
 
 }  // namespace
@@ -547,7 +576,7 @@ DriveState DriveMotion::state(std::size_t i, int run, std::vector<double>& colum
   return {time_s[i], run, position[i], velocity[i], acceleration[i], direction[i], travel[i], columns_here};
 }
 
-std::vector<double> DriveMotion::travel_over(double length) const {
+std::vector<double> DriveMotion::lacking_friction(double length) const {
   std::vector<double> result;
   double so_far = length * std::log(2.0), back = 0.0, sign = 0.0;
   for (std::size_t i = 0; i < position.size(); ++i) {
@@ -564,7 +593,10 @@ std::vector<double> DriveMotion::travel_over(double length) const {
     const double new_ground = std::max(0.0, forward - back);
     back = std::max(0.0, back - forward);
     so_far += new_ground;
-    result.push_back(so_far);
+    const double turned = back > 0.0 ? -1.0 : 1.0;
+    const double since = back > 0.0 ? travel_after_reversal(so_far, length) + back : so_far;
+    const double bent = turned * sign * (1.0 - 2.0 * std::exp(-since / length));
+    result.push_back(0.5 * (bent - direction[i]));
   }
   return result;
 }
@@ -606,7 +638,8 @@ Eigen::VectorXd DriveRows::torque_at(const Actuation& actuation) const {
   return filtered(samples, actuation.lag_s);
 }
 
-Result<DriveData> prepare(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model) {
+Result<DriveData> prepare(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model,
+                          double delay_s) {
   if (runs.empty() || heldout_from == 0) return failure("no run to diagnose");
   for (const Run& run : runs)
     if (const Result<void> checked = check(run, model); !checked) return tl::unexpected(checked.error());
@@ -634,7 +667,7 @@ Result<DriveData> prepare(std::span<const Run> runs, std::size_t heldout_from, c
       cut_off_Hz = std::min(cut_off_Hz, kMostRows * kRowsPerCutOff / total_s);
       cut_off_Hz = cut_off_for_acceleration(fitted, model, cut_off_Hz);
     }
-    data = prepare_at(runs, heldout_from, model, cut_off_Hz);
+    data = prepare_at(runs, heldout_from, model, cut_off_Hz, delay_s);
   }
   for (const DriveRows& run : data.runs)
     if (run.size() == 0) data.notices.push_back(fmt::format("{}: the drive does not move in it", run.name));

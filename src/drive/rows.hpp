@@ -27,16 +27,17 @@ double gaussian_sd_s(double cut_off_Hz);
 struct DriveMotion {
   std::vector<double> time_s;  ///< since the run began
   std::vector<double> torque, position, velocity, acceleration;
-  std::vector<double> direction;             ///< of the velocity; 0 at standstill
-  std::vector<double> travel;                ///< since the last reversal; infinite before the first
+  std::vector<double> direction;  ///< of the velocity; 0 at standstill
+  std::vector<double> travel;     ///< since the last reversal; infinite before the first
   /// The user's own, by DriveModel::regressors; behind them, if it is recorded, the motor's position less the
   /// load's.
   std::vector<std::vector<double>> columns;
 
   DriveState state(std::size_t i, int run, std::vector<double>& columns_here) const;
-  /// DriveState::travel of each sample where friction builds up over `length`. At the start it is half built
-  /// up: nobody knows which way the drive came.
-  std::vector<double> travel_over(double length) const;
+  /// Of each sample, what friction that builds up over `length` lacks of its level, half of which is 1. At
+  /// standstill it stays as the last motion left it. At the start it is half built up: nobody knows which way
+  /// the drive came.
+  std::vector<double> lacking_friction(double length) const;
 };
 
 /// How the torque follows from its reading: the reading that is `lag_s` older, followed with the time
@@ -94,7 +95,10 @@ struct DriveData {
   bool position_absolute = true;  ///< false: integrated from velocity, zero at the start of each run
   bool keeps_reversals = false;   ///< rows in which the drive reverses count too
   double slow_speed = 0.0;        ///< below this a reading counts as standstill
-  double position_step = 0.0;     ///< of the readings of motor and load, the coarser one; 0 without a load's
+  /// By which the torque seems to act after its reading, as the checks of the readings found; 0: by less than
+  /// they tell.
+  double delay_s = 0.0;
+  double position_step = 0.0;  ///< of the readings of motor and load, the coarser one; 0 without a load's
   ReadingNoise noise;
   RowCount rows;
   std::vector<std::string> notices;
@@ -102,8 +106,9 @@ struct DriveData {
 
 /// Motion by local polynomials (no lag, any sampling), rows by a Gaussian low-pass without lag; rows at
 /// standstill are left out, since friction there is anything up to its limit. Of `runs`, those from
-/// `heldout_from` on are held out. Errors: a run too short or without a reading that the model promises, no
-/// motion at all.
-Result<DriveData> prepare(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model);
+/// `heldout_from` on are held out; `delay_s` as DriveData has it. Errors: a run too short or without a
+/// reading that the model promises, no motion at all.
+Result<DriveData> prepare(std::span<const Run> runs, std::size_t heldout_from, const DriveModel& model,
+                          double delay_s = 0.0);
 
 }  // namespace clampd::drive

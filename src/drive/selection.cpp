@@ -29,10 +29,17 @@ constexpr double kFewRows = 6.0;
 constexpr double kCertain = 2.0;
 /// The rivals together have 99 % of the posterior.
 const double kRivalNats = std::log(99.0);
+/// By which what needs one number more has to be better.
+constexpr double kNatsANumber = 3.0;
 /// From here on evidence of the same rows is believed though the held-out blocks do not all agree.
 constexpr double kOverwhelmingNats = 25.0;
 
 struct Paired {
+  double significance_nats() const {
+    if (!(error > 0.0) || !(mean > 0.0)) return 0.0;
+    const double t = mean / error;
+    return -std::log(std::max(1e-300, statistics::fisher_f_p_value(t * t, 1.0, count - 1.0)));
+  }
   double mean = 0.0, error = 0.0;
   double second = 0.0;  ///< sum of what the second leaves
   int count = 0;
@@ -57,10 +64,21 @@ Paired paired(const std::vector<double>& first, const std::vector<double>& secon
   return result;
 }
 
+std::vector<double> logarithms(std::vector<double> values) {
+  for (double& value : values) value = std::log(value);
+  return values;
+}
+
 double sum(const std::vector<double>& values) {
   double total = 0.0;
   for (const double value : values) total += value;
   return total;
+}
+
+int numbers(const TorqueModel& model) {
+  int count = 0;
+  for (const Variant& part : model.parts) count += complexity(part);
+  return count;
 }
 
 }  // namespace
@@ -202,7 +220,20 @@ std::vector<FittedTerm> Selector::terms_of(const TorqueModel& model) const {
 }
 
 TorqueModel Selector::rich() {
-  TorqueModel model = fitted(base_);
+  TorqueModel model = enriched(fitted(base_));
+  const double delay_s = design_.data().delay_s;
+  if (delay_s == 0.0 || model_.part(DriveTerm::TorqueLag).use != PartUse::Candidate) return model;
+  // Nothing fits a torque that is late, and what it leaves is no noise.
+  Variant lag{DriveTerm::TorqueLag, std::string(name_of(DriveTerm::TorqueLag)), {}};
+  lag.lag_s = delay_s;
+  const TorqueModel shifted = with(fitted(base_), lag);
+  if (!shifted.ok()) return model;
+  TorqueModel other = enriched(shifted);
+  return other.ok() && (!model.ok() || gain(other, model) > critical(1.0)) ? other : model;
+}
+
+/// With what may join it with most columns that no shape decides.
+TorqueModel Selector::enriched(TorqueModel model) {
   constexpr std::array kLinear{
       DriveTerm::TorqueOffset,  DriveTerm::FrictionAsymmetry, DriveTerm::QuadraticDrag,
       DriveTerm::FrictionShape, DriveTerm::FrictionPosition,  DriveTerm::LoadPosition,
@@ -310,9 +341,6 @@ std::vector<Variant> Selector::load_candidates(const TorqueModel& model) {
   for (FittedTerm& term : terms_of(model))
     if (term.term != DriveTerm::LoadFriction && term.term != DriveTerm::TorqueSaturation)
       drive.terms.push_back(std::move(term));
-  std::optional<double> buildup;
-  if (const Variant* presliding = model.part(DriveTerm::Presliding))
-    buildup = presliding->functions.front().first;
   FittedDrive loads = drive;
   std::erase_if(loads.terms, [](const FittedTerm& term) { return !loads_drive(term.term); });
   std::vector<Variant> candidates;
@@ -322,11 +350,8 @@ std::vector<Variant> Selector::load_candidates(const TorqueModel& model) {
     Eigen::Index first = 0;
     for (const DriveRows& run : design_.data().runs) {
       std::vector<double> samples(run.motion.time_s.size()), columns;
-      std::vector<double> travel;
-      if (buildup) travel = run.motion.travel_over(*buildup);
       for (std::size_t i = 0; i < samples.size(); ++i) {
-        DriveState state = run.motion.state(i, run.run, columns);
-        if (buildup) state.travel = travel[i];
+        const DriveState state = run.motion.state(i, run.run, columns);
         const double torque = torque_of(of, state);
         samples[i] = value_of(function, state, {torque, torque, torque});
       }
@@ -373,13 +398,19 @@ Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& 
   const double by_likelihood = statistics::chi_squared_neg_log_p(2.0 * nats, std::max(1, extra));
   const std::vector<double> left_more = design_.left_out(more.fit), left_less = design_.left_out(less.fit);
   const Paired difference = paired(left_more, left_less);
-  const bool nested = extra > 0 && !added.replaces_viscous && !changes_torque(added);
+  const auto is_older = [&](int column) {
+    const auto newest = more.fit.columns.end() - extra;
+    return std::find(more.fit.columns.begin(), newest, column) != newest;
+  };
+  const bool nested =
+      extra > 0 && more.fit.target == less.fit.target && std::ranges::all_of(less.fit.columns, is_older);
   double by_blocks = 0.0;
   if (nested) {
     by_blocks = design_.significance_of_last(more.fit, extra);
-  } else if (difference.error > 0.0 && difference.mean > 0.0) {
-    const double t = difference.mean / difference.error;
-    by_blocks = -std::log(std::max(1e-300, statistics::fisher_f_p_value(t * t, 1.0, difference.count - 1.0)));
+  } else {
+    // Blocks differ in what they leave: where all of them get better by a like share, that is the surer sign.
+    const double by_share = paired(logarithms(left_more), logarithms(left_less)).significance_nats();
+    by_blocks = std::max(difference.significance_nats(), by_share) - std::log(2.0);
   }
   judgement.significance_nats =
       std::min(by_likelihood, by_blocks) - std::log(std::max(1.0, added.alternatives));
@@ -398,6 +429,17 @@ Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& 
   return judgement;
 }
 
+/// Why no drive can be like the one model, unless the other one is impossible for the same reason; empty: one
+/// can.
+std::string Selector::why_impossible(const TorqueModel& model, const TorqueModel& other) const {
+  const std::vector<Impossibility> before =
+      other.ok() ? impossibilities(terms_of(other), range_, model_) : std::vector<Impossibility>{};
+  for (Impossibility& each : impossibilities(terms_of(model), range_, model_))
+    if (std::ranges::find(before, each.term, &Impossibility::term) == before.end())
+      return std::move(each.words);
+  return {};
+}
+
 Trial Selector::judged(const TorqueModel& model, const TorqueModel& larger, const Variant& variant) {
   Trial trial;
   trial.variant = variant;
@@ -407,7 +449,7 @@ Trial Selector::judged(const TorqueModel& model, const TorqueModel& larger, cons
   trial.significance_nats = judgement.significance_nats;
   trial.significant = judgement.significance_nats > critical(1.0) && trial.evidence > 0.0;
   trial.material = judgement.material;
-  trial.impossible = impossible(terms_of(larger), range_, model_).value_or("");
+  trial.impossible = why_impossible(larger, model);
   return trial;
 }
 
@@ -437,7 +479,6 @@ Trial Selector::trial(const TorqueModel& model, const std::vector<Variant>& vari
   const Variant* at = nullptr;
   const Variant* possible = nullptr;
   const double needed = asymmetry_evidence(model, variants);
-  const bool before = impossible(terms_of(model), range_, model_).has_value();
   for (const Variant& variant : variants) {
     TorqueModel larger = with(model, variant);
     if (!larger.ok() || (by_direction(variant) && larger.evidence < needed)) continue;
@@ -446,7 +487,7 @@ Trial Selector::trial(const TorqueModel& model, const std::vector<Variant>& vari
       at = &variant;
     }
     if ((possible == nullptr || larger.evidence > best_possible.evidence) &&
-        (before || !impossible(terms_of(larger), range_, model_))) {
+        why_impossible(larger, model).empty()) {
       best_possible = std::move(larger);
       possible = &variant;
     }
@@ -456,9 +497,7 @@ Trial Selector::trial(const TorqueModel& model, const std::vector<Variant>& vari
     none.variant = variants.front();
     return none;
   }
-  Trial result = possible != nullptr ? judged(model, best_possible, *possible) : judged(model, best, *at);
-  if (before && possible != nullptr) result.impossible.clear();  // it was impossible without it too
-  return result;
+  return possible != nullptr ? judged(model, best_possible, *possible) : judged(model, best, *at);
 }
 
 std::vector<Trial> Selector::trials(const TorqueModel& model) {
@@ -468,6 +507,43 @@ std::vector<Trial> Selector::trials(const TorqueModel& model) {
   for (const auto& [name, variants] : by_name) result.push_back(trial(model, variants));
   std::ranges::sort(result, [](const Trial& a, const Trial& b) { return a.evidence > b.evidence; });
   return result;
+}
+
+namespace {
+
+/// Whether two variants are the same but for the free number of their shape.
+bool of_one_form(const Variant& a, const Variant& b) {
+  if (free_shape(a) == nullptr || free_shape(b) == nullptr) return a == b;
+  // A power that passes 1 is first viscous friction, and beside it two laws that only differ.
+  if (a.term == DriveTerm::FrictionPower && (*free_shape(a) < 1.0) != (*free_shape(b) < 1.0)) return false;
+  return with_shape(a, 1.0) == with_shape(b, 1.0);
+}
+
+/// Whether a shape's number adds to others of its kind, rather than multiplies.
+bool shape_is_additive(const Variant& variant) {
+  return variant.term == DriveTerm::TorqueLag && variant.settling_s == 0.0;
+}
+
+bool has_the_order_of_gravity(const Variant& variant) {
+  return variant.term == DriveTerm::Cogging &&
+         std::ranges::any_of(variant.functions, [](const BasisFunction& each) { return each.first == 1.0; });
+}
+
+bool is_periodic(const Variant& variant) {
+  return !variant.functions.empty() && variant.functions.front().factor == BasisFunction::Factor::Sine;
+}
+
+}  // namespace
+
+/// Within which the form is what its name says.
+std::pair<double, double> Selector::limits_of_shape(const Variant& variant) const {
+  double lowest = std::numeric_limits<double>::infinity(), highest = -lowest;
+  for (const Variant& each : pool_) {
+    if (each.name != variant.name || free_shape(each) == nullptr || !of_one_form(each, variant)) continue;
+    lowest = std::min(lowest, *free_shape(each));
+    highest = std::max(highest, *free_shape(each));
+  }
+  return lowest > highest ? std::pair(-lowest, -highest) : std::pair(lowest, highest);
 }
 
 /// Moves the free number of a shape to where the evidence is largest, by halving steps, and keeps its
@@ -503,19 +579,19 @@ TorqueModel Selector::refined(TorqueModel model, DriveTerm term) {
                 : term == DriveTerm::Gravity ? 0.1
                 : periodic ? std::min(0.1, 0.3 / (variant.functions.front().first * range_.half()))
                            : 0.25;
-  const auto moved = [&](double by) {
+  const auto [lowest, highest] = limits_of_shape(variant);
+  const auto moved = [&, lowest = lowest, highest = highest](double by) {
     const double shape = *free_shape(variant);
-    return with(model, with_shape(variant, additive ? shape + by : shape * std::exp(by)));
+    return with(model, with_shape(variant, std::clamp(additive ? shape + by : shape * std::exp(by),
+                                                      std::min(shape, lowest), std::max(shape, highest))));
   };
   double curvature = 0.0;
-  const bool before = impossible(terms_of(model), range_, model_).has_value();
   for (int round = 0; round < 6; ++round) {
     const TorqueModel up = moved(step), down = moved(-step);
     if (up.ok() && down.ok())
       curvature = (up.evidence - 2.0 * model.evidence + down.evidence) / (step * step);
     const TorqueModel& better = up.ok() && (!down.ok() || up.evidence > down.evidence) ? up : down;
-    if (better.ok() && better.evidence > model.evidence &&
-        (before || !impossible(terms_of(better), range_, model_))) {
+    if (better.ok() && better.evidence > model.evidence && why_impossible(better, model).empty()) {
       model = better;
       variant = model.parts.back();
     } else {
@@ -526,6 +602,151 @@ TorqueModel Selector::refined(TorqueModel model, DriveTerm term) {
     if (part.term == term)
       part.shape_sd =
           curvature < 0.0 ? 1.0 / std::sqrt(-curvature) : std::numeric_limits<double>::quiet_NaN();
+  return model;
+}
+
+/// Torque by which the model changes if the shape of one of its parts does, over that change; empty: it has
+/// none, or its number decides the scale of the readings.
+Eigen::VectorXd Selector::slope_by_shape(const TorqueModel& model, std::size_t part, double& step) {
+  const Variant& variant = model.parts[part];
+  if (free_shape(variant) == nullptr || !variant.frozen.empty() || variant.saturation > 0.0 ||
+      variant.settling_s > 0.0)
+    return {};
+  const double shape = *free_shape(variant);
+  if (shape_is_additive(variant)) {
+    step = 0.01 / design_.data().cut_off_Hz;
+    Actuation later = actuation_of(model.parts);
+    later.lag_s += step;
+    return (design_.raw(model.fit.target) - design_.raw(design_.target(later))) / step;
+  }
+  step = is_periodic(variant) ? std::min(0.02, 0.05 / (shape * range_.half())) : 0.02;
+  Eigen::Index first = 0;
+  for (std::size_t p = 0; p < part; ++p) first += static_cast<Eigen::Index>(model.parts[p].columns.size());
+  const Variant changed = with_shape(variant, shape * std::exp(step));
+  Eigen::VectorXd slope = Eigen::VectorXd::Zero(design_.rows());
+  for (std::size_t i = 0; i < variant.columns.size(); ++i)
+    slope += model.fit.coefficients[first + static_cast<Eigen::Index>(i)] / step *
+             (design_.rows_of(changed.functions[i]) - design_.raw(variant.columns[i]));
+  return slope;
+}
+
+/// The free numbers of all shapes where the likelihood is largest, by Gauss's and Newton's steps.
+TorqueModel Selector::sharpened(TorqueModel model) {
+  constexpr int kMostSteps = 4;
+  constexpr double kFarthest = 0.5, kSmallGain = 0.1;
+  for (int round = 0; round < kMostSteps && model.ok(); ++round) {
+    std::vector<int> columns = model.fit.columns;
+    std::vector<std::size_t> shaped;
+    for (std::size_t p = 0; p < model.parts.size(); ++p) {
+      double step = 0.0;
+      const Eigen::VectorXd slope = slope_by_shape(model, p, step);
+      if (slope.size() == 0 || !(slope.squaredNorm() > 0.0)) continue;
+      columns.push_back(design_.add(slope));
+      shaped.push_back(p);
+    }
+    if (shaped.empty()) return model;
+    const Fit together = design_.fit(columns, model.fit.target);
+    if (!together.ok) return model;
+    TorqueModel better;
+    for (double share = 1.0; share > 0.2 && !better.ok(); share *= 0.5) {
+      std::vector<Variant> parts = model.parts;
+      for (std::size_t k = 0; k < shaped.size(); ++k) {
+        Variant& part = parts[shaped[k]];
+        const double by =
+            share * together.coefficients[static_cast<Eigen::Index>(model.fit.columns.size() + k)];
+        const double shape = *free_shape(part);
+        const double farthest = shape_is_additive(part) ? 0.1 / design_.data().cut_off_Hz
+                                : is_periodic(part)     ? std::min(kFarthest, 0.5 / (shape * range_.half()))
+                                                        : kFarthest;
+        const double limited = std::clamp(by, -farthest, farthest);
+        const auto [lowest, highest] = limits_of_shape(part);
+        part =
+            with_shape(part, std::clamp(shape_is_additive(part) ? shape + limited : shape * std::exp(limited),
+                                        std::min(shape, lowest), std::max(shape, highest)));
+      }
+      TorqueModel moved = fitted(std::move(parts));
+      if (moved.ok() && moved.evidence > model.evidence && why_impossible(moved, model).empty())
+        better = std::move(moved);
+    }
+    if (!better.ok()) return model;
+    const double gained = better.evidence - model.evidence;
+    model = std::move(better);
+    if (gained < kSmallGain) break;
+  }
+  return model;
+}
+
+/// The orders of a ripple where the likelihood is largest while the other effects are there; whole orders of
+/// a rotary drive stay.
+TorqueModel Selector::with_sharp_orders(TorqueModel model) {
+  constexpr int kRounds = 7;
+  const double period = M_PI / range_.half(), lowest = 2.0 * period;  // two periods over the travel
+  const Variant* ripple = model.part(DriveTerm::Cogging);
+  if (ripple == nullptr || is_base(*ripple)) return model;
+  std::set<double> orders;
+  for (const BasisFunction& function : ripple->functions)
+    if (model_.linear || function.first != std::round(function.first)) orders.insert(function.first);
+  for (double order : orders) {
+    double step = 0.1 * period;
+    for (int round = 0; round < kRounds; ++round) {
+      TorqueModel best;
+      double best_order = order;
+      for (const double other : {order - step, order + step}) {
+        Variant moved = *model.part(DriveTerm::Cogging);
+        for (BasisFunction& function : moved.functions)
+          if (function.first == order) function.first = other;
+        TorqueModel tried = other < lowest ? TorqueModel{} : with(model, moved);
+        if (!tried.ok() || !(tried.evidence > (best.ok() ? best.evidence : model.evidence))) continue;
+        best = std::move(tried);
+        best_order = other;
+      }
+      if (best.ok() && best.evidence > model.evidence) {
+        model = std::move(best);
+        order = best_order;
+      } else {
+        step *= 0.5;
+      }
+    }
+  }
+  return model;
+}
+
+/// Each effect in the form, and all of them with the shapes, that the runs ask for while the others are
+/// there: what a poor form leaves would pass for one more effect.
+TorqueModel Selector::polished(TorqueModel model) {
+  constexpr int kRounds = 2;
+  for (int round = 0; round < kRounds; ++round) {
+    const double start = model.evidence;
+    model = sharpened(with_sharp_orders(std::move(model)));
+    for (const std::string& name : effect_names(model)) {
+      const Variant part = *std::ranges::find(model.parts, name, &Variant::name);
+      const bool frozen = !part.frozen.empty();
+      if (frozen || part.saturation > 0.0 || part.settling_s > 0.0) model = refined(model, part.term);
+      if (!frozen) model = in_its_best_form(std::move(model), part);
+    }
+    if (model.evidence < start + 1.0) break;
+  }
+  return model;
+}
+
+/// With one of the other forms of a part in its place, if the runs ask for it.
+TorqueModel Selector::in_its_best_form(TorqueModel model, Variant part) {
+  std::vector<TorqueModel> forms;
+  for (const Variant& variant : pool_) {
+    if (variant.name != part.name || of_one_form(variant, part)) continue;
+    TorqueModel other = with(model, variant);
+    if (!other.ok() || !why_impossible(other, model).empty()) continue;
+    const auto same = std::ranges::find_if(
+        forms, [&](const TorqueModel& each) { return of_one_form(each.parts.back(), variant); });
+    if (same == forms.end())
+      forms.push_back(std::move(other));
+    else if (other.evidence > same->evidence)
+      *same = std::move(other);
+  }
+  for (TorqueModel& form : forms) {
+    if (free_shape(form.parts.back()) != nullptr) form = sharpened(std::move(form));
+    if (form.evidence > model.evidence) model = std::move(form);
+  }
   return model;
 }
 
@@ -541,6 +762,24 @@ bool Selector::drop_what_is_no_longer_needed(TorqueModel& model) {
         again.evidence > smaller.evidence)
       continue;
     model = smaller;
+    return true;
+  }
+  return false;
+}
+
+/// Takes out what the other effects explain as well, once they have the forms that they would have had
+/// without it.
+bool Selector::drop_what_better_forms_explain(TorqueModel& model) {
+  if (effect_names(model).size() < 2) return false;
+  for (std::size_t p = 0; p < model.parts.size(); ++p) {
+    if (is_base(model.parts[p])) continue;
+    TorqueModel smaller = without(model, p);
+    if (!smaller.ok()) continue;
+    smaller = polished(std::move(smaller));
+    if (judge(model, smaller, model.parts[p]).material &&
+        model.evidence > smaller.evidence + critical(model.parts[p].alternatives))
+      continue;
+    model = std::move(smaller);
     return true;
   }
   return false;
@@ -563,8 +802,7 @@ bool Selector::swap(TorqueModel& model) {
             (start.part(variant.term) != nullptr && variant.term != DriveTerm::Regressor))
           continue;
         TorqueModel other = with(start, variant);
-        if (!other.ok() || !(other.evidence > best.evidence + 1.0) ||
-            impossible(terms_of(other), range_, model_))
+        if (!other.ok() || !(other.evidence > best.evidence + 1.0) || !why_impossible(other, {}).empty())
           continue;
         const Judgement judgement = judge(other, start, variant);
         if (judgement.significance_nats > critical(1.0) && judgement.material) best = std::move(other);
@@ -590,18 +828,31 @@ bool Selector::difference_is_certain(const TorqueModel& better, const TorqueMode
   return difference.count > 0 && difference.mean > kCertain * difference.error;
 }
 
-/// Dry friction that differs by direction and a constant torque are the same while the drive slides: the
-/// constant comes first.
+/// Whether the blocks scatter too much for a load's dependence on the place to be more than a constant.
+bool Selector::is_constant_load(const TorqueModel& model, Variant load) {
+  const auto constant = [](const BasisFunction& each) { return each.factor == BasisFunction::Factor::One; };
+  if (load.term != DriveTerm::LoadPosition || !std::ranges::any_of(load.functions, constant)) return false;
+  std::stable_partition(load.functions.begin(), load.functions.end(), constant);
+  const auto places = static_cast<int>(std::ranges::count_if(load.functions, std::not_fn(constant)));
+  const TorqueModel places_last = with(model, load);
+  return places_last.ok() && places > 0 &&
+         design_.significance_of_last(places_last.fit, places) < critical(load.alternatives);
+}
+
+/// Dry friction that differs by direction and a constant torque are the same while the drive slides, and so
+/// is a load whose dependence on the place is not certain: the constant comes first.
 void Selector::prefer_the_constant(TorqueModel& model) {
   for (std::size_t p = 0; p < model.parts.size(); ++p) {
     const Variant& part = model.parts[p];
+    if (is_base(part)) continue;
     const bool dry_only = part.term == DriveTerm::FrictionAsymmetry && part.functions.size() == 1 &&
                           part.functions.front().factor == BasisFunction::Factor::One;
-    if (!dry_only || is_base(part)) continue;
+    const bool constant = is_constant_load(model, part);
+    if (!dry_only && !constant) continue;
     for (const Variant& variant : pool_)
       if (variant.term == DriveTerm::TorqueOffset)
         if (TorqueModel other = with(without(model, p), variant);
-            other.ok() && other.evidence > model.evidence - kRivalNats) {
+            other.ok() && (constant || other.evidence > model.evidence - kRivalNats)) {
           model = std::move(other);
           return;
         }
@@ -621,8 +872,33 @@ bool Selector::rivals(const TorqueModel& best, const Variant& part, const Torque
     alternative = refined(alternative, other.variant.term);
   // What needs more numbers and does not fit better for them says nothing of its own.
   const int more = complexity(other.variant) - complexity(part);
-  if (more > 0 && gain(alternative, best) < 3.0 * more) return false;
+  if (more > 0 && gain(alternative, best) < kNatsANumber * more) return false;
   return !difference_is_certain(best, alternative);
+}
+
+/// A ripple of order 2 with others is most often a series that has an order 1, too, which nothing tells from
+/// gravity: both are one effect then, and gravity its rival. Where order 1 is by far the largest, it is
+/// gravity.
+void Selector::count_gravity_to_its_harmonics(TorqueModel& model) {
+  constexpr double kBesideHarmonics = 4.0;
+  const auto place = [&](DriveTerm term) { return std::ranges::find(model.parts, term, &Variant::term); };
+  const auto gravity = place(DriveTerm::Gravity), ripple = place(DriveTerm::Cogging);
+  if (gravity == model.parts.end() || ripple == model.parts.end() ||
+      gravity->functions.front().first != 1.0 ||
+      !std::ranges::any_of(ripple->functions, [](const BasisFunction& each) { return each.first == 2.0; }))
+    return;
+  double first = 0.0, others = 0.0;
+  for (const FittedTerm& term : terms_of(model))
+    for (const double coefficient : term.coefficients) {
+      if (term.term == DriveTerm::Gravity) first = std::max(first, std::abs(coefficient));
+      if (term.term == DriveTerm::Cogging) others = std::max(others, std::abs(coefficient));
+    }
+  if (first > kBesideHarmonics * others) return;
+  std::vector<Variant> parts = model.parts;
+  Variant& series = parts[static_cast<std::size_t>(ripple - model.parts.begin())];
+  series.functions.insert(series.functions.begin(), gravity->functions.begin(), gravity->functions.end());
+  parts.erase(parts.begin() + (gravity - model.parts.begin()));
+  if (TorqueModel together = fitted(std::move(parts)); together.ok()) model = std::move(together);
 }
 
 void Selector::find_rivals(Selection& selection) {
@@ -644,8 +920,38 @@ void Selector::find_rivals(Selection& selection) {
            rivals(best, best.parts[p], smaller, simple)))
         group.push_back(name);
     }
+    if (has_the_order_of_gravity(best.parts[p])) group.emplace_back(name_of(DriveTerm::Gravity));
     if (group.size() > 1) selection.rivals.push_back(std::move(group));
   }
+}
+
+std::vector<std::string> Selector::effect_names(const TorqueModel& model) const {
+  std::vector<std::string> names;
+  for (const Variant& part : model.parts)
+    if (!is_base(part)) names.push_back(part.name);
+  return names;
+}
+
+/// The model with the best of a stage's acceptable candidates: what a candidate says shows once it, and what
+/// was there before it, have their best forms beside each other.
+TorqueModel Selector::with_one_of(const TorqueModel& model, Selection::Stage& stage) {
+  constexpr std::size_t kMost = 4;
+  constexpr double kComparable = 0.3;
+  const double most = stage.trials[*stage.chosen].gain;
+  TorqueModel best;
+  std::size_t tried = 0;
+  for (std::size_t i = 0; i < stage.trials.size() && tried < kMost; ++i) {
+    const Trial& trial = stage.trials[i];
+    if (!trial.acceptable() || trial.gain < kComparable * most) continue;
+    ++tried;
+    TorqueModel larger = polished(with(model, trial.variant));
+    if (best.ok() &&
+        !(larger.evidence - kNatsANumber * numbers(larger) > best.evidence - kNatsANumber * numbers(best)))
+      continue;
+    best = std::move(larger);
+    stage.chosen = i;
+  }
+  return best;
 }
 
 Selection Selector::run(const std::function<void(double)>& progress) {
@@ -666,6 +972,8 @@ Selection Selector::run(const std::function<void(double)>& progress) {
                                                       fmt::format("runs that differ in {}", regressor.name)};
   if (!selection.base.ok()) return selection;
   const auto effects = [&] { return selection.best.parts.size() - base_.size(); };
+  constexpr int kMostChecks = 2;
+  int checks = 0;
   for (int stage = 0;
        stage < 2 * options_.most_effects && effects() < static_cast<std::size_t>(options_.most_effects);
        ++stage) {
@@ -675,16 +983,26 @@ Selection Selector::run(const std::function<void(double)>& progress) {
       if (step.trials[i].acceptable()) step.chosen = i;
     const std::optional<std::size_t> chosen = step.chosen;
     selection.stages.push_back(std::move(step));
-    if (!chosen) break;
-    const Trial& winner = selection.stages.back().trials[*chosen];
-    selection.best = refined(with(selection.best, winner.variant), winner.variant.term);
+    if (!chosen) {
+      if (checks++ < kMostChecks && drop_what_better_forms_explain(selection.best)) continue;
+      break;
+    }
+    const TorqueModel before = selection.best;
+    selection.best = with_one_of(before, selection.stages.back());
     for (int round = 0; round < 6; ++round) {
       const bool swapped = swap(selection.best);
-      if (swapped) selection.best = refined(selection.best, selection.best.parts.back().term);
+      if (swapped) selection.best = polished(std::move(selection.best));
       if (!drop_what_is_no_longer_needed(selection.best) && !swapped) break;
     }
+    if (effect_names(selection.best) == effect_names(before) &&
+        !(selection.best.evidence > before.evidence + 1.0))
+      break;
   }
   prefer_the_constant(selection.best);
+  count_gravity_to_its_harmonics(selection.best);
+  for (const std::string& name : effect_names(selection.best))
+    selection.best =
+        refined(selection.best, std::ranges::find(selection.best.parts, name, &Variant::name)->term);
   return selection;
 }
 

@@ -91,13 +91,26 @@ class Selector {
   std::vector<Trial> trials(const TorqueModel& model);
   double asymmetry_evidence(const TorqueModel& model, const std::vector<Variant>& variants);
   TorqueModel refined(TorqueModel model, DriveTerm term);
+  std::pair<double, double> limits_of_shape(const Variant& variant) const;
+  Eigen::VectorXd slope_by_shape(const TorqueModel& model, std::size_t part, double& step);
+  TorqueModel sharpened(TorqueModel model);
+  TorqueModel with_sharp_orders(TorqueModel model);
+  TorqueModel polished(TorqueModel model);
+  TorqueModel in_its_best_form(TorqueModel model, Variant part);
+  TorqueModel with_one_of(const TorqueModel& model, Selection::Stage& stage);
+  std::vector<std::string> effect_names(const TorqueModel& model) const;
   bool drop_what_is_no_longer_needed(TorqueModel& model);
+  bool drop_what_better_forms_explain(TorqueModel& model);
   bool swap(TorqueModel& model);
   bool difference_is_certain(const TorqueModel& better, const TorqueModel& other) const;
+  bool is_constant_load(const TorqueModel& model, Variant load);
   void prefer_the_constant(TorqueModel& model);
+  void count_gravity_to_its_harmonics(TorqueModel& model);
   bool rivals(const TorqueModel& best, const Variant& part, const TorqueModel& smaller,
               const std::vector<Variant>& variants);
   TorqueModel with(const TorqueModel& model, const Variant& variant);
+  TorqueModel enriched(TorqueModel model);
+  std::string why_impossible(const TorqueModel& model, const TorqueModel& other) const;
   double critical(double alternatives) const;
   bool is_base(const Variant& variant) const;
 

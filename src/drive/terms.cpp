@@ -34,7 +34,7 @@ struct Builder {
 };
 
 std::vector<Variant> friction_powers(Builder builder, const DriveRange& range) {
-  for (const double power : {0.15, 0.3, 0.45, 0.6, 0.75, 1.3, 1.6, 2.5, 3.0}) {
+  for (const double power : {0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 1.2, 1.6, 2.5, 3.0}) {
     const BasisFunction common{Carrier::Direction, Factor::Power, range.fast, power};
     const BasisFunction differs{Carrier::Sliding, Factor::Power, range.fast, power};
     builder.add({common}).replaces_viscous = true;
@@ -230,8 +230,13 @@ std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const 
     case DriveTerm::FrictionShape:
       return friction_shapes(builder, range);
     case DriveTerm::Presliding:
-      for (const double length : geometric(2e-4 * 2.0 * range.half(), 0.1 * 2.0 * range.half(), 12))
-        builder.add({{Carrier::Direction, Factor::Reversal, length}});
+      for (const double length : geometric(2e-4 * 2.0 * range.half(), 0.1 * 2.0 * range.half(), 12)) {
+        const BasisFunction spring{Carrier::Direction, Factor::Reversal, length};
+        BasisFunction damping = spring;
+        damping.carrier = Carrier::Velocity;
+        builder.add({spring});
+        builder.add({spring, damping});
+      }
       break;
     case DriveTerm::FrictionPosition:
       builder.add({place});
@@ -275,6 +280,9 @@ std::vector<Variant> variants_of(DriveTerm term, const DriveRange& range, const 
       for (const double lag_s : lags)
         if (lag_s < longest_s)
           for (const double side : {1.0, -1.0}) builder.add({}).lag_s = side * lag_s;
+      // Beyond these, what the readings themselves show.
+      if (std::abs(data.delay_s) > lags.back())
+        for (int k = -6; k <= 6; ++k) builder.add({}).lag_s = data.delay_s + 0.07 * k * unit_s;
       for (const double settling_s : geometric(0.02 * unit_s, 2.0 * unit_s, 14))
         if (settling_s < longest_s) builder.add({}).settling_s = settling_s;
       break;
@@ -440,8 +448,9 @@ std::optional<std::string> impossible_friction(const std::vector<FittedTerm>& te
 
 }  // namespace
 
-std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, const DriveRange& range,
-                                      const DriveModel& model) {
+std::vector<Impossibility> impossibilities(const std::vector<FittedTerm>& terms, const DriveRange& range,
+                                           const DriveModel& model) {
+  std::vector<Impossibility> all;
   const auto first = [&](DriveTerm wanted) {
     const FittedTerm* term = term_of(terms, wanted);
     return term == nullptr || term->coefficients.empty() ? std::nullopt
@@ -449,21 +458,27 @@ std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, cons
   };
   if (const auto inertia = first(DriveTerm::Inertia);
       inertia && *inertia * range.acceleration < -0.02 * range.torque)
-    return "the inertia would be negative";
+    all.push_back({DriveTerm::Inertia, "the inertia would be negative"});
   if (const auto rise = first(DriveTerm::FrictionShape); rise && *rise < 0.0)
-    return "friction would be less at low speed; that is friction-power";
+    all.push_back({DriveTerm::FrictionShape, "friction would be less at low speed; that is friction-power"});
   if (const auto power = first(DriveTerm::FrictionPower);
       power && *power < 0.0 && term_of(terms, DriveTerm::Viscous) == nullptr)
-    return "friction would fall with speed";
-  if (const auto level = first(DriveTerm::Presliding)) {
-    const double coulomb = first(DriveTerm::Coulomb).value_or(0.0);
-    if (*level < 0.0) return "friction would be above its level after a reversal, not below";
-    if (*level > 2.4 * coulomb) return "friction would lack more than twice itself after a reversal";
+    all.push_back({DriveTerm::FrictionPower, "friction would fall with speed"});
+  if (const FittedTerm* bristles = term_of(terms, DriveTerm::Presliding)) {
+    const double level = bristles->coefficients.front();
+    if (level < 0.0)
+      all.push_back({DriveTerm::Presliding, "friction would be above its level after a reversal, not below"});
+    else if (level > 2.4 * first(DriveTerm::Coulomb).value_or(0.0))
+      all.push_back({DriveTerm::Presliding, "friction would lack more than twice itself after a reversal"});
+    else if (bristles->coefficients.size() > 1 && bristles->coefficients[1] > 0.0)
+      all.push_back(
+          {DriveTerm::Presliding, "what builds up friction after a reversal would have negative damping"});
   }
   if (const auto load = first(DriveTerm::LoadFriction); load && *load < 0.0)
-    return "friction would be less under load";
+    all.push_back({DriveTerm::LoadFriction, "friction would be less under load"});
   if (const auto loss = first(DriveTerm::TorqueSaturation); loss && *loss > 1.0)
-    return fmt::format("more than half of the {} would be lost to saturation", model.effort());
+    all.push_back({DriveTerm::TorqueSaturation,
+                   fmt::format("more than half of the {} would be lost to saturation", model.effort())});
   if (const FittedTerm* mass = term_of(terms, DriveTerm::InertiaPosition))
     for (const double place : {-1.0, 0.0, 1.0}) {
       DriveState state;
@@ -472,9 +487,13 @@ std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, cons
       double inertia = first(DriveTerm::Inertia).value_or(0.0);
       for (std::size_t i = 0; i < mass->functions.size(); ++i)
         inertia += mass->coefficients[i] * value_of(mass->functions[i], state);
-      if (inertia < 0.0) return "the inertia would be negative at some place";
+      if (!(inertia < 0.0)) continue;
+      all.push_back({DriveTerm::InertiaPosition, "the inertia would be negative at some place"});
+      break;
     }
-  return impossible_friction(terms, range, model);
+  if (auto friction = impossible_friction(terms, range, model))
+    all.push_back({DriveTerm::Coulomb, std::move(*friction)});
+  return all;
 }
 
 }  // namespace clampd::drive

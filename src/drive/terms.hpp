@@ -84,8 +84,13 @@ int complexity(const Variant& variant);
 const double* free_shape(const Variant& variant);
 Variant with_shape(const Variant& variant, double shape);
 
-/// Why no drive can be like this: "friction would push the drive at 3 rad/s forward". Nothing if one can.
-std::optional<std::string> impossible(const std::vector<FittedTerm>& terms, const DriveRange& range,
-                                      const DriveModel& model);
+/// Why no drive can be like this, at most one reason a term: "friction would push the drive at 3 rad/s
+/// forward", which is one of dry friction.
+struct Impossibility {
+  DriveTerm term = DriveTerm::Inertia;
+  std::string words;
+};
+std::vector<Impossibility> impossibilities(const std::vector<FittedTerm>& terms, const DriveRange& range,
+                                           const DriveModel& model);
 
 }  // namespace clampd::drive

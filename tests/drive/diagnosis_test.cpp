@@ -138,6 +138,20 @@ TEST(DriveDiagnosis, ParametersAreTrueWithinTheirUncertainty) {
   EXPECT_GE(within, all * 8 / 10);
 }
 
+TEST(DriveDiagnosis, BristlesThatAreDampedAreSeenToBe) {
+  Truth truth;
+  truth.bristle_rad = 0.15;
+  truth.bristle_damping = 0.03;
+  for (const unsigned seed : {141u, 142u, 143u}) {
+    const Diagnosis diagnosis = diagnosed(simulate_set(truth, seed));
+    EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Explained) << diagnosis.summary;
+    ASSERT_THAT(names(diagnosis), ElementsAre("presliding")) << diagnosis.summary;
+    const auto& parameters = diagnosis.effects.front().parameters;
+    EXPECT_NEAR(find(parameters, "length").value, truth.bristle_rad, 0.03);
+    EXPECT_NEAR(find(parameters, "damping").value, truth.bristle_damping, 0.006);
+  }
+}
+
 TEST(DriveDiagnosis, AnOffsetAndAsymmetricDryFrictionAreTwinsWhileSliding) {
   Truth truth;
   truth.extra = [](double, double, int) { return 0.03; };
@@ -243,6 +257,40 @@ TEST(DriveDiagnosis, FindsTwoEffects) {
       expect_within(find(effect.parameters, "viscous-backward"), 3.5e-3, 3.0, 1e-5);
     }
   }
+}
+
+// What a power law by direction leaves of a constant torque has the form of Stribeck's friction by direction.
+TEST(DriveDiagnosis, AnEffectHasItsBestFormBeforeAnotherOneIsSought) {
+  Truth truth;
+  truth.viscous = 0.0;
+  truth.coulomb = 0.05;
+  truth.extra = [](double, double v, int) {
+    return std::copysign(0.2 * std::pow(std::abs(v) / 20.0, 0.55), v) + 0.02;
+  };
+  for (const unsigned seed : {311u, 312u, 313u}) {
+    const Diagnosis diagnosis = diagnosed(simulate_set(truth, seed));
+    EXPECT_THAT(names(diagnosis), ::testing::UnorderedElementsAre("friction-power", "torque-offset"))
+        << diagnosis.summary;
+    for (const NamedEffect& effect : diagnosis.effects)
+      if (effect.name == "friction-power") {
+        EXPECT_NEAR(find(effect.parameters, "power").value, 0.55, 0.03);
+      }
+  }
+}
+
+// A sine once a turn is gravity, or the first order of a ripple whose harmonics are there, too.
+TEST(DriveDiagnosis, GravityIsARivalOfARippleWithItsHarmonics) {
+  Truth series, pendulum;
+  series.extra = [](double q, double, int) {
+    return 0.03 * std::sin(q) + 0.02 * std::cos(2.0 * q) + 0.015 * std::sin(3.0 * q);
+  };
+  pendulum.extra = [](double q, double, int) { return 0.2 * std::sin(q) + 0.02 * std::cos(2.0 * q); };
+  const Diagnosis ripple = diagnosed(simulate_set(series, 331));
+  EXPECT_EQ(ripple.verdict, DiagnosisVerdict::Ambiguous) << ripple.summary;
+  EXPECT_THAT(names(ripple), ElementsAre("cogging")) << ripple.summary;
+  EXPECT_THAT(ripple.rivals, ::testing::Contains(ElementsAre("cogging", "gravity")));
+  const Diagnosis swinging = diagnosed(simulate_set(pendulum, 332));
+  EXPECT_THAT(names(swinging), ::testing::UnorderedElementsAre("gravity", "cogging")) << swinging.summary;
 }
 
 TEST(DriveDiagnosis, WhatIsNotOnTheListHasNoName) {
@@ -393,8 +441,36 @@ TEST(DriveDiagnosis, ACommandThatActsForOneFastRowIsNotLate) {
   }
 }
 
+// Where the acceleration is mostly noise, its fit to the torque is none of the inertia.
+TEST(DriveDiagnosis, ACoarseEncoderHidesNoInertia) {
+  constexpr double kRate = 2.0 * M_PI * 0.1, kInertia = 0.0173;
+  std::vector<DriveRun> runs(2);
+  std::mt19937_64 random(17);
+  std::normal_distribution<double> normal;
+  for (DriveRun& run : runs)
+    for (int i = 0; i < 12000; ++i) {
+      const double t = i / 250.0, q = 39.0 * std::sin(kRate * t), v = 39.0 * kRate * std::cos(kRate * t);
+      run.time_s.push_back(t);
+      run.position_rad.push_back(q + 5e-3 * normal(random));
+      run.torque_Nm.push_back(-kInertia * kRate * kRate * q + 5e-3 * v + std::copysign(0.94, v) +
+                              5e-3 * normal(random));
+    }
+  const Diagnosis diagnosis = diagnosed(runs);
+  EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Adequate) << diagnosis.summary;
+  EXPECT_NEAR(find(diagnosis.parameters_after, "inertia").value, kInertia, 0.03 * kInertia);
+}
+
+// One that is early by as much is not found in this motion.
+TEST(DriveDiagnosis, AReadingThatIsLateByManyRowsIsMeasuredAllTheSame) {
+  constexpr double kLate_s = 0.4;
+  const DriveRun run = commanded(500.0, 0.02, 0.003, kLate_s, 5);
+  const Diagnosis diagnosis = diagnosed(std::span(&run, 1));
+  ASSERT_THAT(names(diagnosis), ElementsAre("torque-lag")) << diagnosis.summary;
+  EXPECT_NEAR(find(diagnosis.effects.front().parameters, "lag").value, -kLate_s, 2e-3);
+}
+
 TEST(DriveDiagnosis, ANegativeInertiaIsNeverAdequate) {
-  DriveModel model = drive();
+  DriveModel model = drive("[model]\ntorque-lag = \"off\"\npresliding = \"off\"\n");
   model.good_enough = 0.5;  // however little is asked for
   const DriveRun run = commanded(500.0, 1e-4, 0.003, 0.08, 5);
   const Diagnosis diagnosis = diagnosed(std::span(&run, 1), model);

@@ -70,6 +70,33 @@ TEST(DriveSimulation, AMotionUnderItsOwnTorqueIsThatMotion) {
     ASSERT_NEAR(run->position_rad[k], turn(run->time_s[k]), 0.1) << k;
 }
 
+TEST(DriveSimulation, DampedBristlesHoldAMotionBackAfterAReversal) {
+  FittedDrive drive = pendulum();
+  drive.model.torque_held = true;
+  // Their damping has a time constant of 10 us, far less than a step without them would be.
+  const BasisFunction spring{Carrier::Direction, Factor::Reversal, 0.05};
+  BasisFunction damping = spring;
+  damping.carrier = Carrier::Velocity;
+  drive.terms.push_back({DriveTerm::Presliding, "presliding", {spring, damping}, {0.2, -200.0}});
+  DriveRun torque = to_and_fro();
+  torque.position_rad.clear();
+  for (const double time_s : torque.time_s)
+    torque.torque_Nm.push_back(1.0 * std::cos(2.0 * std::numbers::pi * time_s));
+  const Result<DriveRun> run = simulate_drive_motion(torque, drive, 0.0);
+  ASSERT_TRUE(run) << run.error().message;
+  drive.terms.back().coefficients[1] = 0.0;
+  const Result<DriveRun> free = simulate_drive_motion(torque, drive, 0.0);
+  ASSERT_TRUE(free) << free.error().message;
+  const auto at = [](const DriveRun& of, double time_s) {
+    return of.position_rad[static_cast<std::size_t>(1e3 * time_s)];
+  };
+  // The first motion comes from no reversal, the way back does.
+  EXPECT_NEAR(at(*run, 0.2), at(*free, 0.2), 0.05);
+  EXPECT_GT(at(*run, 0.9), at(*free, 0.9) + 0.2);
+  for (std::size_t k = 1; k < run->size(); ++k)
+    ASSERT_LT(std::abs(run->position_rad[k] - run->position_rad[k - 1]), 0.05) << k;
+}
+
 TEST(DriveSimulation, TheTorqueIsAskedForBeforeItHasToAct) {
   const DriveRun acting = *simulate_drive_torque(to_and_fro(), pendulum());
   FittedDrive late = pendulum();

@@ -23,6 +23,7 @@ struct Truth {
   std::function<double(double position, double velocity, int run)> dry;
   std::function<double(double time_s)> load;  ///< torque from outside that opposes the positive direction
   double bristle_rad = 0.0;                   ///< of presliding; 0: rigid
+  double bristle_damping = 0.0;               ///< of theirs, right after a reversal, per velocity
   double duration_s = 12.0;
   double torque_noise = 0.01, position_noise_rad = 2e-5, disturbance = 0.004;
   double sample_jitter = 0.0;  ///< share of the period
@@ -65,7 +66,8 @@ inline Run simulate(const Truth& truth, int run_number, unsigned seed) {
                           (truth.load ? truth.load(t) : 0.0);
     double moved = v + kStep_s / truth.inertia * torque;
     if (truth.bristle_rad > 0.0) {
-      moved -= kStep_s / truth.inertia * dry * deflection;
+      const double bending = 0.5 * v * (1.0 - deflection * (v > 0.0 ? 1.0 : -1.0));
+      moved -= kStep_s / truth.inertia * (dry * deflection + truth.bristle_damping * bending);
       deflection += kStep_s * moved / truth.bristle_rad * (1.0 - deflection * (moved > 0.0 ? 1.0 : -1.0));
     } else {
       const double brake = kStep_s / truth.inertia * dry;
