@@ -105,21 +105,19 @@ void Withdrawal::approximations() {
   }
 }
 
-/// Where much is left that is no noise, what fits it a little may only lean on it. A name stays if it takes
-/// more than is left, or, by itself, a good part of what the base model left; the weakest goes first.
+/// Where much is left that is no noise, what fits it in part may only lean on it: the torque that is on no list
+/// looks a little like many that are. A name stays if it takes far more than is left; the weakest goes first.
 void Withdrawal::what_leans_on_the_rest() {
-  constexpr double kDominant = 0.5, kLeaning = 0.7;
-  const double base = square_left_by(base_);
+  constexpr double kFarMore = 2.0;
   while (has_effects()) {
     const Remainder rest = left_by(best_);
     const double left = rest.left * rest.left;
-    double least = kLeaning * (left - rest.noise * rest.noise);
+    double least = kFarMore * (left - rest.noise * rest.noise);
     if (rest.is_enough(model_.good_enough)) {
       const double share = explainable_share(design_, best_, model_);
       least = share > kStructured ? share * left : 0.0;
     }
     if (!(least > 0.0)) return;
-    const bool single = best_.parts.size() == base_.parts.size() + 1;
     std::optional<TorqueModel> without_weakest;
     std::string weakest;
     for (std::size_t p = 0; p < best_.parts.size(); ++p) {
@@ -128,7 +126,6 @@ void Withdrawal::what_leans_on_the_rest() {
       TorqueModel smaller = selector_.without(best_, p);
       if (!smaller.ok()) continue;
       const double taken = square_left_by(smaller) - left;
-      if (single && taken > kDominant * base) continue;
       if (taken < least) {
         least = taken;
         weakest = part.name;
