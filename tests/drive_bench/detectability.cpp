@@ -97,7 +97,8 @@ double noise_variance(const Case& c) {
       c.rig.torque_column != TorqueColumn::Averaged)
     motion =
         2.0 * row_s * kTau * kTau * std::pow(band, 3) / 3.0 * c.rig.velocity_noise * c.rig.velocity_noise;
-  return reading + c.plant.inertia * c.plant.inertia * motion;
+  const double inertia = c.plant.inertia + c.plant.payload_inertia;
+  return reading + inertia * inertia * motion;
 }
 
 class LeastSquares {

@@ -202,6 +202,46 @@ void chatter(Case& c, Random& random, double size, Hidden& h) {
   c.rig.torque_limit += 2.0 * c.plant.chatter_amplitude;
 }
 
+void end_stop(Case& c, Random& random, double size, Hidden& h) {
+  const double torque = 6.0 * size * c.torque_scale, share = random.uniform(0.5, 0.75);
+  c.plant.stop_side = random.sign();
+  c.plant.stop_place = h.values["place"] = c.plant.stop_side * share * travel(c);
+  c.plant.stop_stiffness = h.values["stiffness"] = torque / ((1.0 - share) * travel(c));
+  c.plant.stop_damping = random.uniform(0.5, 1.5) / c.plant.speed;
+  c.rig.torque_limit += 2.0 * torque;
+}
+void knocks(Case& c, Random& random, double size, Hidden& h) {
+  LoadSignal& load = c.plant.hidden_load;
+  load.knock_level = h.values["level"] = 5.0 * size * c.torque_scale;
+  load.knock_s = h.values["length"] = random.uniform(0.1, 0.25) / c.motion.frequency_Hz;
+  load.knock_pause_s = h.values["pause"] = random.uniform(0.5, 2.0) / c.motion.frequency_Hz;
+  load.seed = c.seed + static_cast<std::uint64_t>(random.integer(1, 1'000'000'000));
+  c.rig.torque_limit += 2.0 * load.knock_level;
+}
+/// The larger the effect, the more of the inertia is behind the clutch.
+void slip_clutch(Case& c, Random& random, double size, Hidden& h) {
+  const double share = 0.55 + 0.4 * size;
+  c.plant.load_inertia = share * c.plant.inertia;
+  c.plant.clutch_torque = h.values["torque"] =
+      random.uniform(0.3, 0.6) * share * std::min(inertial_torque(c), c.torque_scale);
+  c.plant.inertia *= 1.0 - share;
+  c.plant.clutch_creep = 0.02 * c.plant.speed;
+  h.values["load-share"] = share;
+}
+void payload(Case& c, Random& random, double size, Hidden& h) {
+  const double share = std::min(1.5, 2.5 * size * c.torque_scale / inertial_torque(c));
+  c.plant.payload_inertia = h.values["inertia"] = share * c.plant.inertia;
+  c.plant.payload_period_s = h.values["period"] = random.uniform(1.3, 3.7) / c.motion.frequency_Hz;
+  c.plant.payload_share = random.uniform(0.35, 0.65);
+  c.plant.payload_start_s = random.uniform() * c.plant.payload_period_s;
+  c.rig.torque_limit += 4.0 * share * inertial_torque(c);
+}
+void field_weakening(Case& c, Random&, double size, Hidden& h) {
+  const double loss = 0.4 + 0.4 * size;
+  c.plant.base_speed = h.values["base-speed"] = (1.0 - loss) * c.plant.speed;
+  c.rig.torque_limit /= 1.0 - loss;
+}
+
 }  // namespace
 
 double travel(const Case& c) {
@@ -249,6 +289,11 @@ const std::vector<EffectDraw>& unlisted_effects(bool development) {
       {"resonance", "", false, false, false, true, false, true, false, resonance},
       {"sticky-place", "", true, false, false, true, false, false, false, sticky_place},
       {"random-walk-load", "", false, false, false, false, false, false, false, random_walk},
+      {"end-stop", "", true, false, false, true, false, false, false, end_stop},
+      {"knocks", "", false, false, false, false, false, false, false, knocks},
+      {"slip-clutch", "", false, false, false, true, false, true, false, slip_clutch},
+      {"payload", "", false, false, false, true, false, true, false, payload},
+      {"field-weakening", "", false, false, false, true, false, true, false, field_weakening},
   };
   static const std::vector<EffectDraw> kHeldOut{
       {"coupling-torque", "", false, false, false, false, false, false, false, coupling_torque},

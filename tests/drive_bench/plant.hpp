@@ -6,16 +6,19 @@
 
 namespace clampd::drive_bench {
 
-/// A torque against the drive that is a function of time: slow sines about a mean, or noise with a memory.
-/// Each run has its own.
+/// A torque against the drive that is a function of time: slow sines about a mean, noise with a memory, or
+/// knocks. Each run has its own.
 struct LoadSignal {
   double amplitude = 0.0;  ///< of the sines, about; 0: none
   double slowest_Hz = 0.0, fastest_Hz = 0.0;
   double walk_sd = 0.0;  ///< standard deviation of the noise; 0: none
   double walk_memory_s = 1.0;
+  double knock_level = 0.0;    ///< mean height of half-sine pulses of either sign; 0: none
+  double knock_s = 1.0;        ///< length of a pulse
+  double knock_pause_s = 1.0;  ///< mean time between two pulses, drawn exponentially
   std::uint64_t seed = 0;
 
-  bool is_there() const { return amplitude != 0.0 || walk_sd != 0.0; }
+  bool is_there() const { return amplitude != 0.0 || walk_sd != 0.0 || knock_level != 0.0; }
 };
 /// One value a control tick; empty if there is none.
 std::vector<double> by_tick(const LoadSignal& load, std::size_t run, std::size_t ticks, double tick_s);
@@ -77,7 +80,18 @@ struct Plant {
   double chatter_Hz = 0.0;
   double chatter_from = 0.0;
   double chatter_to = 0.0;
-  LoadSignal hidden_load;  ///< that nobody records: a colleague axis, a random walk
+  LoadSignal hidden_load;       ///< that nobody records: a colleague axis, a random walk, knocks
+  double clutch_torque = 0.0;   ///< most that a slip clutch passes on to the second mass, instead of a shaft
+  double clutch_creep = 1.0;    ///< difference of the speeds at which it passes all of it and slips
+  double stop_stiffness = 0.0;  ///< elastic end stop, touched at one end of the travel
+  double stop_place = 0.0;
+  double stop_side = 1.0;        ///< 1: beyond its place are the larger positions, -1: the smaller ones
+  double stop_damping = 0.0;     ///< its torque times 1 + this times the speed into it (Hunt and Crossley)
+  double payload_inertia = 0.0;  ///< carried for a share of each period, taken up at the drive's own speed
+  double payload_period_s = 1.0;
+  double payload_share = 0.5;
+  double payload_start_s = 0.0;
+  double base_speed = 0.0;  ///< above it the torque constant falls as 1 / speed; 0: never
 
   LoadSignal measured_load;  ///< that a column of the files holds
 };
@@ -111,7 +125,8 @@ double gravity_torque(const Plant& plant, double position);
 /// The fastest rate of the equations, in 1/s: steps have to be short against its inverse.
 double stiffness_rate(const Plant& plant, double speed);
 
-/// Kinetic and potential energy of all that stores any, but for bristles and cable.
+/// Kinetic and potential energy of all that stores any, but for bristles and cable. A payload brings its
+/// kinetic energy with it and takes it along.
 double stored_energy(const Plant& plant, const PlantState& state);
 
 }  // namespace clampd::drive_bench

@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 
@@ -120,6 +121,103 @@ TEST(Plant, AHystereticCableLosesFourTimesLevelTimesWayInALongCycle) {
     if (k >= 2000) work += plant.cable_level * 0.5 * (before + state.cable) * (k >= 3000 ? 1e-3 : -1e-3);
   }
   EXPECT_NEAR(work, 2.0 * plant.cable_level, 0.05 * plant.cable_level);
+}
+
+TEST(Plant, AnEndStopHoldsHalfASwingAndPushesOnItsOwnSideOnly) {
+  Plant plant;
+  plant.inertia = 2.0;
+  plant.stop_stiffness = 50.0;
+  plant.stop_place = -0.3;
+  plant.stop_side = -1.0;
+  PlantState state;
+  state.velocity = -1.5;
+  const double energy = stored_energy(plant, state), w = std::sqrt(plant.stop_stiffness / plant.inertia);
+  run_until(plant, state, 0.1, 1e-4, no_torque);
+  EXPECT_NEAR(state.velocity, -1.5, 1e-12);  // not there yet
+  run_until(plant, state, 0.2 + 0.25 * kTau / w, 1e-4, no_torque);
+  EXPECT_NEAR(state.position, -0.3 - 1.5 / w, 1e-4);
+  EXPECT_NEAR(stored_energy(plant, state), energy, 1e-6);
+  run_until(plant, state, 3.0, 1e-4, no_torque);
+  EXPECT_NEAR(state.velocity, 1.5, 1e-5);
+  plant.stop_damping = 0.4;
+  state = {};
+  state.velocity = -1.5;
+  run_until(plant, state, 3.0, 1e-4, no_torque);
+  EXPECT_GT(state.velocity, 0.0);
+  EXPECT_LT(state.velocity, 1.4);
+}
+
+TEST(Plant, KnocksAreHalfSinesWithPausesAndDifferFromRunToRun) {
+  LoadSignal load;
+  load.knock_level = 2.0;
+  load.knock_s = 0.05;
+  load.knock_pause_s = 0.2;
+  load.seed = 5;
+  ASSERT_TRUE(load.is_there());
+  const std::vector<double> torque = by_tick(load, 0, 2'000'000, 1e-3);
+  double sum = 0.0, most = 0.0, steepest = 0.0, quiet = 0.0;
+  for (std::size_t k = 1; k < torque.size(); ++k) {
+    sum += std::abs(torque[k]);
+    most = std::max(most, std::abs(torque[k]));
+    steepest = std::max(steepest, std::abs(torque[k] - torque[k - 1]));
+    quiet += torque[k] == 0.0 ? 1.0 : 0.0;
+  }
+  const auto ticks = static_cast<double>(torque.size());
+  EXPECT_NEAR(quiet / ticks, 0.8, 0.01);
+  EXPECT_NEAR(sum / ticks, 0.2 * 2.0 * 2.0 / std::numbers::pi, 0.01);  // the mean of a half sine is 2 / pi
+  EXPECT_NEAR(most, 3.0, 0.01);
+  EXPECT_LE(steepest, 3.0 * std::numbers::pi / 50.0 * 1.001);
+  EXPECT_NE(torque, by_tick(load, 1, 2'000'000, 1e-3));
+}
+
+TEST(Plant, ASlipClutchCarriesItsLoadAlongUntilItsTorqueAndNoFurther) {
+  Plant plant;
+  plant.inertia = 1.0;
+  plant.load_inertia = 2.0;
+  plant.clutch_torque = 0.6;
+  plant.clutch_creep = 1e-3;
+  PlantState state;
+  run_until(plant, state, 2.0, 1e-4, [](double) { return 0.75; });  // the load takes 0.5 of it
+  EXPECT_NEAR(state.velocity, 0.25 * 2.0, 2e-3);
+  EXPECT_NEAR(state.load_velocity, 0.25 * 2.0, 2e-3);
+  state = {};
+  run_until(plant, state, 2.0, 1e-4, [](double) { return 1.6; });  // the load would take 1.07 of it
+  EXPECT_NEAR(state.velocity, (1.6 - 0.6) * 2.0, 2e-3);
+  EXPECT_NEAR(state.load_velocity, 0.6 / 2.0 * 2.0, 2e-3);
+  EXPECT_NEAR(state.velocity + 2.0 * state.load_velocity, 1.6 * 2.0, 1e-9);
+}
+
+TEST(Plant, APayloadSlowsTheDriveDownWhileItIsCarried) {
+  Plant plant;
+  plant.inertia = 1.0;
+  plant.payload_inertia = 3.0;
+  plant.payload_period_s = 2.0;
+  plant.payload_share = 0.25;
+  plant.payload_start_s = 1.0;  // carried from 1 s to 1.5 s, and again from 3 s
+  PlantState state;
+  run_until(plant, state, 1.0, 1e-4, [](double) { return 0.8; });
+  EXPECT_NEAR(state.velocity, 0.8, 1e-3);
+  run_until(plant, state, 1.5, 1e-4, [](double) { return 0.8; });
+  EXPECT_NEAR(state.velocity, 0.8 + 0.1, 1e-3);
+  run_until(plant, state, 2.9, 1e-4, [](double) { return 0.8; });
+  EXPECT_NEAR(state.velocity, 0.9 + 1.12, 1e-3);
+  const double energy = stored_energy(plant, state);
+  run_until(plant, state, 3.1, 1e-4, no_torque);
+  EXPECT_NEAR(stored_energy(plant, state) / energy, 1.0 + 3.0, 1e-9);  // with what it brings
+}
+
+TEST(Plant, AboveItsBaseSpeedAMotorHasConstantPower) {
+  Plant plant;
+  plant.inertia = 0.5;
+  plant.base_speed = 2.0;
+  PlantState state;
+  run_until(plant, state, 1.0, 1e-4, [](double) { return 1.0; });
+  EXPECT_NEAR(state.velocity, 2.0, 1e-6);  // full torque so far
+  run_until(plant, state, 4.0, 1e-4, [](double) { return 1.0; });
+  EXPECT_NEAR(stored_energy(plant, state), 0.5 * 0.5 * 2.0 * 2.0 + 1.0 * 2.0 * 3.0, 1e-3);
+  const double before = state.velocity;  // and braking at speed it is as weak
+  advance(plant, state, -1.0, 0.0, 0.0, 0, 1e-3);
+  EXPECT_NEAR(state.velocity, before - 2.0 / before / 0.5 * 1e-3, 1e-6);
 }
 
 TEST(Plant, TheMidpointRuleIsOfSecondOrderWhileTheDriveSlides) {
