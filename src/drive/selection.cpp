@@ -392,6 +392,7 @@ std::vector<Variant> Selector::pool_of(const TorqueModel& model) {
 Selector::Judgement Selector::judge(const TorqueModel& more, const TorqueModel& less,
                                     const Variant& added) const {
   Judgement judgement;
+  if (!more.ok() || !less.ok()) return judgement;  // the rows do not tell its columns apart
   const auto extra = static_cast<int>(more.fit.columns.size()) - static_cast<int>(less.fit.columns.size());
   const double nats = gain(more, less);
   if (!(nats > 0.0)) return judgement;

@@ -60,6 +60,7 @@ class Withdrawal {
 
  private:
   bool has_effects() const { return best_.parts.size() > base_.parts.size(); }
+  double effects() const { return static_cast<double>(best_.parts.size() - base_.parts.size()); }
   Remainder left_by(const TorqueModel& model, double inertia = 0.0) const {
     return remainder_of(design_, model, inertia);
   }
@@ -106,13 +107,14 @@ void Withdrawal::approximations() {
 }
 
 /// Where much is left that is no noise, what fits it in part may only lean on it: the torque that is on no list
-/// looks a little like many that are. A name stays if it takes far more than is left; the weakest goes first.
+/// looks a little like many that are, and more like several together. A name stays if it takes far more than
+/// is left, times the number of names; the weakest goes first.
 void Withdrawal::what_leans_on_the_rest() {
-  constexpr double kFarMore = 2.0;
+  constexpr double kFarMore = 1.4;
   while (has_effects()) {
     const Remainder rest = left_by(best_);
     const double left = rest.left * rest.left;
-    double least = kFarMore * (left - rest.noise * rest.noise);
+    double least = kFarMore * effects() * (left - rest.noise * rest.noise);
     if (rest.is_enough(model_.good_enough)) {
       const double share = explainable_share(design_, best_, model_);
       least = share > kStructured ? share * left : 0.0;

@@ -235,6 +235,7 @@ const std::vector<Twin>& twins() {
       {"channel-skew", "velocity-lag", "the same"},
       {"resonance", "gear-compliance", "two masses on an elastic shaft are just that"},
       {"sticky-place", "friction-position", "friction that is higher at one place depends on the position"},
+      {"end-stop", "load-position", "an elastic stop is a load that depends on where the drive is"},
       {"hysteretic-cable", "presliding", "hysteresis over a length is presliding with a long one"},
   };
   return kTwins;
