@@ -35,13 +35,16 @@ std::string fault_of(std::span<const Run> runs, const Estimate& output) {
 
 Estimate by_output_errors(std::span<const Run> runs, const EstimatorOptions& options) {
   const identify::Stopwatch stopwatch;
-  bool doubtful = false;
-  Estimate output = identify::output_error_estimate(runs, options, identify::Starts::GivenOnly, &doubtful);
-  if (!doubtful) return output;
+  if (!identify::check_input(runs, options)) return identify_output_error(runs, options);
+  identify::OutputErrorSearch search(runs, options);
+  identify::OutputErrorAttempt& first = search.first();
+  Estimate output = identify::output_error_estimate(search, first, options);
+  output.wall_s = stopwatch.seconds();
+  if (std::isfinite(first.score) && !search.doubtful(first)) return output;
   const auto is_result = [&](const Estimate& estimate) {
     return estimate.converged() && !identify::level_of(runs, estimate).far_above_noise;
   };
-  Estimate prediction = identify_prediction_error(runs, options);
+  Estimate prediction = identify::prediction_error_estimate(search, runs, options);
   int iterations = output.iterations + prediction.iterations;
   const auto end = [&](Estimate estimate) {
     estimate.iterations = iterations;
@@ -51,12 +54,14 @@ Estimate by_output_errors(std::span<const Run> runs, const EstimatorOptions& opt
   if (is_result(prediction)) {
     EstimatorOptions nearby = options;
     nearby.start.theta = prediction.parameters.theta;
-    Estimate again = identify::output_error_estimate(runs, nearby, identify::Starts::GivenOnly, nullptr);
+    identify::OutputErrorSearch near(runs, nearby);
+    Estimate again = identify::output_error_estimate(near, near.first(), nearby);
     iterations += again.iterations;
     if (is_result(again)) return end(std::move(again));
   }
-  output = identify_output_error(runs, options);
-  iterations += output.iterations;
+  const int before = search.iterations();
+  output = identify::output_error_estimate(search, search.best(), options);
+  iterations += search.iterations() - before;
   if (is_result(output)) return end(std::move(output));
   const std::string why = fault_of(runs, output);
   if (is_result(prediction)) {

@@ -9,17 +9,9 @@ namespace clampd {
 
 namespace identify {
 
-Estimate output_error_estimate(std::span<const Run> runs, const EstimatorOptions& options, Starts starts,
-                               bool* doubtful) {
-  const identify::Stopwatch stopwatch;
-  Estimate estimate = identify::empty_estimate(options);
-  if (const Result<void> valid = identify::check_input(runs, options); !valid) {
-    estimate.message = valid.error().message;
-    return estimate;
-  }
-  identify::OutputErrorSearch search(runs, options);
-  identify::OutputErrorAttempt attempt = starts == Starts::Several ? search.best() : search.first();
-  if (doubtful != nullptr) *doubtful = !std::isfinite(attempt.score) || search.doubtful(attempt);
+Estimate output_error_estimate(OutputErrorSearch& search, OutputErrorAttempt& attempt,
+                               const EstimatorOptions& options) {
+  Estimate estimate = empty_estimate(options);
   estimate.iterations = search.iterations();
   if (!std::isfinite(attempt.score)) {
     estimate.message =
@@ -29,14 +21,22 @@ Estimate output_error_estimate(std::span<const Run> runs, const EstimatorOptions
     conclude(search.fit_at(attempt), attempt.unknowns, noise.variances, noise.torque_spread, attempt.settled,
              options, estimate);
   }
-  estimate.wall_s = stopwatch.seconds();
   return estimate;
 }
 
 }  // namespace identify
 
 Estimate identify_output_error(std::span<const Run> runs, const EstimatorOptions& options) {
-  return identify::output_error_estimate(runs, options, identify::Starts::Several, nullptr);
+  const identify::Stopwatch stopwatch;
+  if (const Result<void> valid = identify::check_input(runs, options); !valid) {
+    Estimate estimate = identify::empty_estimate(options);
+    estimate.message = valid.error().message;
+    return estimate;
+  }
+  identify::OutputErrorSearch search(runs, options);
+  Estimate estimate = identify::output_error_estimate(search, search.best(), options);
+  estimate.wall_s = stopwatch.seconds();
+  return estimate;
 }
 
 }  // namespace clampd

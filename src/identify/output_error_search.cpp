@@ -95,7 +95,8 @@ OutputErrorAttempt OutputErrorSearch::attempt(const ParameterVector& theta) {
 
 JointFit& OutputErrorSearch::fit_at(const OutputErrorAttempt& attempt) {
   const Variances& present = fit_.variances();
-  if (attempt.weights.force != present.force || attempt.weights.velocity != present.velocity)
+  if (fit_.uses_innovations() || attempt.weights.force != present.force ||
+      attempt.weights.velocity != present.velocity)
     fit_.use_output_errors(attempt.weights);
   fit_.evaluate(attempt.unknowns);
   return fit_;
@@ -184,7 +185,18 @@ std::optional<ParameterVector> OutputErrorSearch::other_start(int index) {
   return theta;
 }
 
-OutputErrorAttempt OutputErrorSearch::best(OutputErrorAttempt kept) {
+OutputErrorAttempt& OutputErrorSearch::first() {
+  if (!first_) first_ = attempt(options_.start.theta);
+  return *first_;
+}
+
+OutputErrorAttempt& OutputErrorSearch::best() {
+  if (!best_) best_ = best_of_all_starts();
+  return *best_;
+}
+
+OutputErrorAttempt OutputErrorSearch::best_of_all_starts() {
+  OutputErrorAttempt kept = first();
   if (!poor(kept)) return kept;
   for (int i = 0; i < kOtherStarts; ++i) {
     const std::optional<ParameterVector> start = other_start(i);

@@ -32,11 +32,10 @@ class OutputErrorSearch {
  public:
   OutputErrorSearch(std::span<const Run> runs, const EstimatorOptions& options);
 
-  OutputErrorAttempt best() { return best(first()); }
-  /// With a first attempt that was made already.
-  OutputErrorAttempt best(OutputErrorAttempt kept);
-  /// From the given start only.
-  OutputErrorAttempt first() { return attempt(options_.start.theta); }
+  /// From the given start only; made once.
+  OutputErrorAttempt& first();
+  /// From others, too, where the first one is poor; made once.
+  OutputErrorAttempt& best();
   /// Unlike starts, worst last, for what the given one cannot reach. Nothing where `index` is not a sensible
   /// brake.
   static constexpr int kOtherStarts = 5;
@@ -58,6 +57,7 @@ class OutputErrorSearch {
 
  private:
   OutputErrorAttempt attempt(const ParameterVector& theta);
+  OutputErrorAttempt best_of_all_starts();
   /// Near the right minimum, more often than not, from a start that is not.
   ParameterVector filtered_start(const ParameterVector& theta);
   bool is_nominal_start() const { return options_.start.theta == nominal_parameters(); }
@@ -69,13 +69,17 @@ class OutputErrorSearch {
   Minimiser minimise_;
   Variances seen_;  ///< without a model
   std::optional<ParameterVector> by_equation_error_;
+  std::optional<OutputErrorAttempt> first_, best_;
   int iterations_ = 0;
 };
 
-/// identify_output_error(), from the given start only or from others too where that is poor. `doubtful`, if
-/// it is wanted: as OutputErrorSearch tells; left alone where the runs or the options are refused.
-enum class Starts { GivenOnly, Several };
-Estimate output_error_estimate(std::span<const Run> runs, const EstimatorOptions& options, Starts starts,
-                               bool* doubtful);
+/// What an attempt of the search comes to.
+Estimate output_error_estimate(OutputErrorSearch& search, OutputErrorAttempt& attempt,
+                               const EstimatorOptions& options);
+
+/// identify_prediction_error() of runs and options that check_input() has passed, after the output error
+/// method's search of the same.
+Estimate prediction_error_estimate(OutputErrorSearch& output_errors, std::span<const Run> runs,
+                                   const EstimatorOptions& options);
 
 }  // namespace clampd::identify

@@ -108,19 +108,12 @@ Estimate with_vanished_held(std::span<const Run> runs, EstimatorOptions options,
 
 }  // namespace
 
-}  // namespace identify
-
-Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOptions& options) {
-  using namespace identify;
-  const Stopwatch stopwatch;
+Estimate prediction_error_estimate(OutputErrorSearch& output_errors, std::span<const Run> runs,
+                                   const EstimatorOptions& options) {
   Estimate estimate = empty_estimate(options);
   estimate.method = Method::PredictionError;
-  if (const Result<void> valid = check_input(runs, options); !valid) {
-    estimate.message = valid.error().message;
-    return estimate;
-  }
-  OutputErrorSearch output_errors(runs, options);
-  OutputErrorAttempt warm = output_errors.first();
+  const int before = output_errors.iterations();
+  OutputErrorAttempt& warm = output_errors.first();
   JointFit& fit = output_errors.fit_at(warm);
   PredictionErrorSearch search(fit, options);
   const bool doubtful = output_errors.doubtful(warm);
@@ -140,7 +133,7 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
   // errors from several starts say more. Where those got lost, as in slow motion under load, or are off by
   // more than the readings' noise, likelihood must choose, until two unlike starts have met where it is best.
   if (doubtful) {
-    OutputErrorAttempt thorough = output_errors.best(std::move(warm));
+    OutputErrorAttempt& thorough = output_errors.best();
     if (std::isfinite(thorough.score)) {
       const Variances noise = output_errors.noise_at(thorough).variances;
       // With more, the model does not follow the brake there either.
@@ -166,13 +159,29 @@ Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOpt
       if (met) break;
     }
   }
-  estimate.iterations = output_errors.iterations() + search.iterations();
+  estimate.iterations = output_errors.iterations() - before + search.iterations();
   if (!std::isfinite(best.criterion) || !fit.use_innovations(best.unknowns, best.variances) ||
       !fit.evaluate(best.unknowns))
     estimate.message =
         "the Kalman filter cannot follow the runs from any start: it diverges under their torque";
   else
     conclude(fit, best.unknowns, best.variances, best.torque_spread, best.settled, options, estimate);
+  return estimate;
+}
+
+}  // namespace identify
+
+Estimate identify_prediction_error(std::span<const Run> runs, const EstimatorOptions& options) {
+  using namespace identify;
+  const Stopwatch stopwatch;
+  if (const Result<void> valid = check_input(runs, options); !valid) {
+    Estimate estimate = empty_estimate(options);
+    estimate.method = Method::PredictionError;
+    estimate.message = valid.error().message;
+    return estimate;
+  }
+  OutputErrorSearch output_errors(runs, options);
+  Estimate estimate = prediction_error_estimate(output_errors, runs, options);
   estimate.wall_s = stopwatch.seconds();
   return estimate;
 }
