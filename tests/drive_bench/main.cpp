@@ -397,8 +397,7 @@ int run(int argc, char** argv) {
   for (const bool development : {true, false}) {
     if (options.half == (development ? "held-out" : "development")) continue;
     const std::vector<Score> scores = judge_all(seeds_of(development, options), options);
-    report_half(scores, development ? "development" : "held-out", options,
-                !development && options.half == "held-out");
+    report_half(scores, development ? "development" : "held-out", options, !development);
     std::fflush(stdout);
   }
   fs::remove_all(fs::temp_directory_path() / fmt::format("clampd-drive-bench-{}", getpid()));
