@@ -26,6 +26,7 @@ constexpr int kStallSamples = 50;        // still, though driven: at the end sto
 constexpr double kStallTravel_rad = 0.05;
 constexpr int kRestSamples = 10;
 constexpr double kRestSpeed_rad_s = 1.0;
+constexpr double kContactLost = 0.5;  // times contact_force_N
 constexpr double kLearnFactor = 5.0;  // times contact_force_N: how far the approach goes on
 constexpr double kMoveSpeed_rad_s = 220.0;
 constexpr double kArrived_rad = 0.03;
@@ -291,6 +292,9 @@ FaultCause CheckSequence::prove_motion() const noexcept {
 }
 
 double CheckSequence::approach() noexcept {
+  // Pads that are pressed push back ever more. A force that is gone again was that of spikes beside each
+  // other.
+  if (smooth_force_N_ < kContactLost * plan_->contact_force_N) last_.context.contact_known = false;
   if (!last_.context.contact_known && smooth_force_N_ > plan_->contact_force_N) {
     stiffness_.start(plan_->drive, observer_.position_rad(), smooth_force_N_);
     proof_.contact_rad = observer_.position_rad();

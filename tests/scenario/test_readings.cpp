@@ -63,6 +63,18 @@ TEST(SpoiledReadings, ABrakeThatComesToRestAtItsOpenEndStopHasTrueReadings) {
   }
 }
 
+/// Two spikes beside each other look like pads, until the force is gone again. A contact that was found there
+/// would contradict every force that follows.
+TEST(SpoiledReadings, SpikesBesideEachOtherAreNoContact) {
+  const Reference reference = shipped_reference();
+  for (std::uint64_t seed = 1; seed <= 60; ++seed) {
+    sim::PlantConfiguration plant = shipped_plant();
+    plant.seed = seed;
+    plant.effects.outliers = 0.02;
+    EXPECT_EQ(drive_check(plant, reference, 1).fault, FaultCause::None) << "seed " << seed;
+  }
+}
+
 TEST(SpoiledReadings, HealthyBrakesOfAllSortsRaiseNoFault) {
   const HealthyCampaign campaign = run_healthy_campaign(400, 7);
   for (const std::string& fault : campaign.faults) ADD_FAILURE() << fault;
