@@ -19,6 +19,7 @@
 #include <cstring>
 #include <ctime>
 #include <filesystem>
+#include <optional>
 #include <system_error>
 #include <utility>
 
@@ -182,6 +183,24 @@ Result<std::vector<std::uint8_t>> query_link(unsigned index) {
   return answer;
 }
 
+/// The kernel stamps frames with the wall clock. Both clocks of one moment tell a frame's age.
+struct ClockPair {
+  std::int64_t wall_ns = 0;
+  std::int64_t monotonic_ns = 0;
+
+  /// Bounded, in case that the wall clock was set between stamp and moment; none for a frame that came after the moment.
+  std::int64_t age_ns(const timespec& stamp) const noexcept {
+    const std::int64_t stamp_ns = static_cast<std::int64_t>(stamp.tv_sec) * kNanosecondsPerSecond + stamp.tv_nsec;
+    return std::clamp<std::int64_t>(wall_ns - stamp_ns, 0, kNanosecondsPerSecond);
+  }
+};
+
+ClockPair read_clocks() noexcept {
+  timespec wall{};
+  ::clock_gettime(CLOCK_REALTIME, &wall);
+  return {static_cast<std::int64_t>(wall.tv_sec) * kNanosecondsPerSecond + wall.tv_nsec, monotonic_now_ns()};
+}
+
 }  // namespace
 
 Result<InterfaceInfo> inspect_interface(const std::string& name) {
@@ -294,12 +313,13 @@ void SocketCanBus::note_error(int error) noexcept {
 std::size_t SocketCanBus::receive(std::span<TimedFrame> out, std::int64_t now_ns) noexcept {
   note_reopened();
   std::size_t taken = 0;
+  std::optional<ClockPair> clocks;  // read once: reading clocks costs more than the rest of a frame
   // Errors (interface down, gone) are each reported once; the bound only keeps a kernel's whim from holding
   // the tick.
   for (int attempts = 0; taken < out.size() && attempts < 256; ++attempts) {
-    canfd_frame received{};
+    canfd_frame received;  // the kernel fills in as much as it says
     iovec part{&received, sizeof received};
-    alignas(cmsghdr) std::array<char, 128> control{};
+    alignas(cmsghdr) std::array<char, 128> control;
     msghdr message{};
     message.msg_iov = &part;
     message.msg_iovlen = 1;
@@ -322,15 +342,8 @@ std::size_t SocketCanBus::receive(std::span<TimedFrame> out, std::int64_t now_ns
       if (part_header->cmsg_type == SO_TIMESTAMPNS) {
         timespec stamp{};
         std::memcpy(&stamp, CMSG_DATA(part_header), sizeof stamp);
-        // The kernel stamps with the wall clock: take the frame's age from it, against a step of that clock
-        // bounded.
-        timespec wall{};
-        ::clock_gettime(CLOCK_REALTIME, &wall);
-        const std::int64_t monotonic_ns = monotonic_now_ns();
-        const std::int64_t age_ns =
-            (static_cast<std::int64_t>(wall.tv_sec) - stamp.tv_sec) * kNanosecondsPerSecond + wall.tv_nsec -
-            stamp.tv_nsec;
-        arrival_ns = monotonic_ns - std::clamp<std::int64_t>(age_ns, 0, kNanosecondsPerSecond);
+        if (!clocks) clocks = read_clocks();
+        arrival_ns = clocks->monotonic_ns - clocks->age_ns(stamp);
       } else if (part_header->cmsg_type == SO_RXQ_OVFL) {
         std::uint32_t drops = 0;
         std::memcpy(&drops, CMSG_DATA(part_header), sizeof drops);
