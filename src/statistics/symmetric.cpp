@@ -75,6 +75,10 @@ Eigen::MatrixXd CholeskyFactor::solve_upper(const ConstMatrix& right) const {
   return factor_.matrixU().solve(right);
 }
 
+double CholeskyFactor::log_determinant() const {
+  return 2.0 * factor_.matrixLLT().diagonal().array().log().sum();
+}
+
 Spectrum spectrum_of(const ConstMatrix& symmetric) {
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(symmetric);
   return {solver.eigenvalues(), solver.eigenvectors(), solver.info() == Eigen::Success};

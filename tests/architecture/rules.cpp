@@ -244,7 +244,8 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"archive", {"record", "base"}},
       {"publish", {"archive", "record", "base"}},
       {"line", {"archive", "station", "record", "statistics", "base"}},
-      {"views", {"line", "archive", "station", "drive", "diagnose", "brake", "record", "base"}},
+      {"attribution", {"statistics", "base"}},
+      {"views", {"line", "attribution", "archive", "station", "drive", "diagnose", "brake", "record", "base"}},
       {"rt", {"control", "ports", "record", "base"}},
       {"drivers/can", {"ports", "record", "base"}},
       {"drivers/gpio", {"ports", "record", "base"}},
@@ -262,7 +263,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"tools/clampd-plant", {"tools/cli", "bench", "simulation", "rt", "drivers/can", "base"}},
       {"tools/clampd", {"tools/dashboard", "tools/cli", "daemon", "api", "bench", "drivers/gpio", "base"}},
       {"tools/clampctl",
-       {"tools/reproduce", "tools/cli", "api", "bench", "simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "views", "line",
+       {"tools/reproduce", "tools/cli", "api", "bench", "simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "views", "line", "attribution",
         "archive", "station", "sheet", "drive", "diagnose", "experiment", "identify", "brake", "parameters", "record", "base"}},
   };
   return kArrows;

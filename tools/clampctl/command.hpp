@@ -37,6 +37,7 @@ void add_records_commands(CLI::App& app, const CommonOptions& common,
 void add_report_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_statistics_commands(CLI::App& app, const CommonOptions& common,
                              int& exit_code);  ///< statistics, limits
+void add_line_command(CLI::App& app, int& exit_code);
 void add_gauge_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_master_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_doctor_command(CLI::App& app, const CommonOptions& common, int& exit_code);

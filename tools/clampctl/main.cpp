@@ -33,6 +33,7 @@ int main(int argc, char** argv) {
   ctl::add_records_commands(app, common, exit_code);
   ctl::add_report_command(app, common, exit_code);
   ctl::add_statistics_commands(app, common, exit_code);
+  ctl::add_line_command(app, exit_code);
   ctl::add_gauge_command(app, common, exit_code);
   ctl::add_master_command(app, common, exit_code);
   ctl::add_doctor_command(app, common, exit_code);

@@ -62,6 +62,7 @@ class CholeskyFactor {
   bool is_positive() const { return factor_.info() == Eigen::Success; }
   Eigen::MatrixXd solve_lower(const ConstMatrix& right) const;  ///< L^-1 right
   Eigen::MatrixXd solve_upper(const ConstMatrix& right) const;  ///< L^-T right
+  double log_determinant() const;                               ///< of the matrix
 
  private:
   Eigen::LLT<Eigen::MatrixXd> factor_;
