@@ -8,10 +8,10 @@
 
 #include "clampd/base/assert.hpp"
 #include "clampd/base/clock.hpp"
-#include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/record/text.hpp"
 #include "clampd/record/utc.hpp"
 #include "clampd/station/cause.hpp"
+#include "clampd/station/evidence.hpp"
 #include "clampd/station/verdict.hpp"
 
 namespace clampd {
@@ -19,8 +19,6 @@ namespace {
 
 constexpr std::uint32_t kMaxRepeats = 200;
 constexpr std::size_t kMaxText = 80;
-
-constexpr std::string_view kUsePredictionErrors = "set method = \"pem\" under [check]";
 
 /// Another method is advised from such a gain in certainty on: half as many repeats would do.
 constexpr double kWorthAdvice = 0.7;
@@ -60,37 +58,6 @@ double tracking_rms_N(const std::vector<RunRecord>& runs) {
   double squares = 0.0;
   for (const RunRecord& run : runs) squares += run.tracking_rms_N * run.tracking_rms_N;
   return runs.empty() ? 0.0 : std::sqrt(squares / static_cast<double>(runs.size()));
-}
-
-struct ExpectedResidual {
-  double force_N = 0.0;
-  double velocity_rad_s = 0.0;
-};
-
-/// Residual rms that a true model leaves: sensor noise, and what white noise q of the torque reading (sd per
-/// sample of length ts) makes of a prediction over n samples. As a random walk v grows by q ts/J a sample,
-/// with the mean square (q ts/J)^2 n/2 over the run; x is its sum, with the mean square (q ts^2/J)^2 n^3/12;
-/// F follows x by the stiffness, for which 2 sqrt(k2 F) is an upper bound as long as k1 <= 0.
-ExpectedResidual expected_residual(const Tare& tare, const std::vector<RunRecord>& runs,
-                                   const BrakeParameters& model, double torque_noise_Nm) {
-  double samples = 0.0;
-  double force_max_N = 0.0;
-  for (const RunRecord& record : runs) {
-    samples = std::max(samples, static_cast<double>(record.run.size()));
-    force_max_N =
-        std::max(force_max_N, *std::max_element(record.run.force_N.begin(), record.run.force_N.end()));
-  }
-  const double step_rad_s = torque_noise_Nm * kPeriod_s / model.fixed.inertia_kg_m2;
-  const double stiffness_N_rad = 2.0 * std::sqrt(model.theta[k2] * std::max(force_max_N, 0.0));
-  const double drift_N =
-      stiffness_N_rad * step_rad_s * kPeriod_s * std::sqrt(samples * samples * samples / 12.0);
-  return {std::hypot(tare.force_sd_N, drift_N),
-          std::hypot(tare.velocity_sd_rad_s, step_rad_s * std::sqrt(samples / 2.0))};
-}
-
-/// 0 over 0 explains everything: a noiseless simulation that is fitted exactly.
-double ratio(double residual, double expected) {
-  return residual == 0.0 ? 0.0 : residual / expected;
 }
 
 }  // namespace
@@ -135,41 +102,6 @@ Result<void> validate(const CheckRequest& asked) {
     if (Result<void> checked = check(what, text); !checked) return checked;
   return {};
 }
-
-namespace {
-
-Eigen::Vector2d offset_sd(const Tare& tare) {
-  const double mean_of = std::sqrt(static_cast<double>(std::max<std::uint64_t>(tare.samples, 1)));
-  return {tare.force_sd_N / mean_of, tare.velocity_sd_rad_s / mean_of};
-}
-
-/// With what the tare adds, as tare_covariance_normalised().
-std::vector<EffectEstimate> with_tare_sd(std::vector<EffectEstimate> effects, const Tare& tare) {
-  const Eigen::Vector2d offset = offset_sd(tare);
-  for (EffectEstimate& effect : effects)
-    effect.sd = std::hypot(effect.sd, effect.offset_sensitivity[0] * offset[0],
-                           effect.offset_sensitivity[1] * offset[1]);
-  return effects;
-}
-
-}  // namespace
-
-ParameterMatrix tare_covariance_normalised(const Estimate& joint, const Tare& tare) {
-  return joint.offset_sensitivity * offset_sd(tare).cwiseAbs2().asDiagonal() *
-         joint.offset_sensitivity.transpose();
-}
-
-namespace {
-
-/// Of the parameters, SI.
-ParameterVector sd_with_tare(const Estimate& joint, const Tare& tare) {
-  return (joint.covariance_normalised + tare_covariance_normalised(joint, tare))
-      .diagonal()
-      .cwiseSqrt()
-      .cwiseProduct(nominal_parameters().cwiseAbs());
-}
-
-}  // namespace
 
 CheckSession::CheckSession(const StationConfiguration& configuration, const LimitSet& limits,
                            const CheckRequest& request, const CheckContext& context, Estimator estimator,
@@ -220,7 +152,7 @@ Looks CheckSession::looks() {
 bool CheckSession::are_enough(const std::vector<RunRecord>& runs, const Estimate& joint) const {
   CheckFacts facts;
   facts.tracking_rms_N = tracking_rms_N(runs);
-  const std::optional<SystematicRecord> systematic = add_estimate(joint, runs, facts);
+  const std::optional<SystematicRecord> systematic = add_estimate(joint, runs, reading(), facts);
   return StoppingRule::is_enough(judge(facts, limits_, configuration_.validity), joint, systematic);
 }
 
@@ -328,55 +260,14 @@ void CheckSession::question_failure(CheckRecord& record) {
       diagnosis->summary, failure);
 }
 
-/// Tests whether the repeats have something in common that the model lacks; where that may move a parameter
-/// by more than its standard deviation, the deviations grow by as much, and so does what is `added` to the
-/// estimate's covariance.
-std::optional<SystematicRecord> CheckSession::count_misfit(const Estimate& joint,
-                                                           const std::vector<RunRecord>& runs,
-                                                           ParameterVector& sd,
-                                                           ParameterMatrix& added) const {
-  const SystematicMisfit misfit = systematic_misfit(runs_of(runs), joint);
-  if (!misfit.can_tell) return std::nullopt;
-  const ParameterVector nominal = nominal_parameters().cwiseAbs();
-  const ParameterVector sd_normalised = sd.cwiseQuotient(nominal);
-  const bool is_marked = misfit.counts(sd_normalised);
-  if (is_marked) {
-    added += misfit.covariance_normalised;
-    sd = (sd_normalised.cwiseAbs2() + misfit.covariance_normalised.diagonal().cwiseMax(0.0))
-             .cwiseSqrt()
-             .cwiseProduct(nominal);
-  }
-  return SystematicRecord{misfit.p_value, misfit.over_noise, misfit.moved_sd(sd_normalised), is_marked};
-}
-
-/// What runs and their joint estimate contribute to the facts. Gives what the repeats have in common beside
-/// the model.
-std::optional<SystematicRecord> CheckSession::add_estimate(const Estimate& joint,
-                                                           const std::vector<RunRecord>& runs,
-                                                           CheckFacts& facts) const {
-  facts.estimate_text = joint.message;
-  facts.estimated = !runs.empty() && joint.converged();
-  facts.unexplained = joint.termination == Termination::Unexplained;
-  if (!facts.estimated) return std::nullopt;
-  if (is_by_output_errors() && joint.method == Method::PredictionError)
-    facts.other_method = fmt::format("No parameters could be identified as configured: {}: {}.",
-                                     joint.message, kUsePredictionErrors);
-  facts.estimate = joint.parameters.theta;
-  facts.sd = sd_with_tare(joint, collector_.tare());
-  ParameterMatrix added = tare_covariance_normalised(joint, collector_.tare());
-  std::optional<SystematicRecord> systematic = count_misfit(joint, runs, facts.sd, added);
-  const ExpectedResidual expected = expected_residual(collector_.tare(), runs, configuration_.model,
-                                                      configuration_.validity.torque_noise_Nm);
-  facts.effects = with_tare_sd(joint.effects, collector_.tare());
-  facts.misfit_force = ratio(joint.force_rms_N, expected.force_N);
-  facts.misfit_velocity = ratio(joint.velocity_rms_rad_s, expected.velocity_rad_s);
-  if (stopping_) facts.guard_bands = stopping_->guard_bands(joint);
-  if (sheet_)
-    facts.characteristics =
-        judge_sheet(sheet_->characteristics,
-                    evaluate(sheet_->characteristics, posterior_of(joint, added), configuration_.model),
-                    facts.guard_bands ? facts.guard_bands->widest() : limits_.guard_band_k);
-  return systematic;
+EstimateReading CheckSession::reading() const {
+  return {configuration_.model,
+          collector_.tare(),
+          configuration_.validity.torque_noise_Nm,
+          is_by_output_errors(),
+          limits_.guard_band_k,
+          sheet_ ? &*sheet_ : nullptr,
+          stopping_ ? &*stopping_ : nullptr};
 }
 
 /// What a verdict depends on. Takes the texts of `outcome`; what the estimate says of the record goes there.
@@ -394,7 +285,7 @@ CheckFacts CheckSession::facts_of(CheckOutcome& outcome, const Estimate& joint, 
   facts.ticks_skipped = record.timing.skipped;
   facts.samples_lost = record.timing.lost_samples;
   facts.tracking_rms_N = record.tracking_rms_N;
-  record.systematic = add_estimate(joint, record.runs, facts);
+  record.systematic = add_estimate(joint, record.runs, reading(), facts);
   if (!facts.estimated) return facts;
   for (int row = 0; row < joint.covariance_normalised.rows(); ++row)
     for (int column = 0; column < joint.covariance_normalised.cols(); ++column)

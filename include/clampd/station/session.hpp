@@ -15,6 +15,7 @@
 #include "clampd/record/sample.hpp"
 #include "clampd/sheet/sheet.hpp"
 #include "clampd/station/configuration.hpp"
+#include "clampd/station/evidence.hpp"
 #include "clampd/station/limits.hpp"
 #include "clampd/station/run_collector.hpp"
 #include "clampd/station/stopping.hpp"
@@ -124,10 +125,7 @@ class CheckSession {
   bool are_enough(const std::vector<RunRecord>& runs, const Estimate& joint) const;
   void record_stopping(const CheckFacts& facts, const Judgement& judgement, const Estimate& joint,
                        CheckRecord& record) const;
-  std::optional<SystematicRecord> count_misfit(const Estimate& joint, const std::vector<RunRecord>& runs,
-                                               ParameterVector& sd, ParameterMatrix& added) const;
-  std::optional<SystematicRecord> add_estimate(const Estimate& joint, const std::vector<RunRecord>& runs,
-                                               CheckFacts& facts) const;
+  EstimateReading reading() const;
   CheckFacts facts_of(CheckOutcome& outcome, const Estimate& joint, CheckRecord& record) const;
   bool is_by_output_errors() const;
 
@@ -147,9 +145,5 @@ class CheckSession {
   std::atomic<std::uint64_t> samples_{0};
   std::atomic<std::uint32_t> recorded_{0};
 };
-
-/// What the tare's own uncertainty adds to that of theta / theta_nom: all repeats share one tare, so that
-/// their scatter does not show it.
-ParameterMatrix tare_covariance_normalised(const Estimate& joint, const Tare& tare);
 
 }  // namespace clampd
