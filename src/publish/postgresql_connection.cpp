@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include "clampd/base/version.hpp"
 #include "src/publish/password.hpp"
 #include "src/publish/postgresql_connection.hpp"
 #include "src/publish/reachable.hpp"
@@ -11,7 +12,7 @@ namespace {
 
 /// Step i brings the schema from version i to i + 1. Steps only add, so that stations of different versions
 /// may share a database; they are never changed.
-constexpr std::array<const char*, 3> kMigrations{
+constexpr std::array<const char*, kSchemaVersion> kMigrations{
     R"sql(
 CREATE TABLE clampd.checks (
   id text PRIMARY KEY,
@@ -77,6 +78,37 @@ BEGIN
   RETURN dropped;
 END $$;
 REVOKE ALL ON FUNCTION clampd.drop_raw_runs(timestamptz) FROM PUBLIC;
+)sql",
+    // The archive identified anew. A job is one task for many checks; its
+    // queue has a row for each of them. What a task says of a check is kept
+    // by check, task and software, so that no two jobs compute it twice.
+    R"sql(
+CREATE TABLE clampd.tasks (sha256 text PRIMARY KEY, document text NOT NULL);
+CREATE TABLE clampd.jobs (
+  id bigint GENERATED ALWAYS AS IDENTITY PRIMARY KEY, name text NOT NULL,
+  task_sha256 text NOT NULL REFERENCES clampd.tasks (sha256), selection jsonb NOT NULL,
+  submitted timestamptz NOT NULL DEFAULT now(), submitted_by text NOT NULL DEFAULT session_user);
+CREATE TABLE clampd.results (
+  id bigint GENERATED ALWAYS AS IDENTITY PRIMARY KEY, check_id text NOT NULL,
+  task_sha256 text NOT NULL REFERENCES clampd.tasks (sha256), software_version text NOT NULL,
+  document text NOT NULL, worker text NOT NULL, computed timestamptz NOT NULL DEFAULT clock_timestamp(),
+  UNIQUE (check_id, task_sha256, software_version));
+CREATE FUNCTION clampd.keep_results() RETURNS trigger LANGUAGE plpgsql AS $$
+BEGIN
+  RAISE EXCEPTION 'a result is never changed: it says what one version of the software made of the runs';
+END $$;
+CREATE TRIGGER keep_results BEFORE UPDATE ON clampd.results FOR EACH ROW EXECUTE FUNCTION clampd.keep_results();
+CREATE TABLE clampd.queue (
+  id bigint GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+  job_id bigint NOT NULL REFERENCES clampd.jobs (id) ON DELETE CASCADE,
+  check_id text NOT NULL REFERENCES clampd.checks (id) ON DELETE CASCADE,
+  state text NOT NULL DEFAULT 'waiting'
+    CHECK (state IN ('waiting', 'claimed', 'done', 'failed', 'cancelled')),
+  attempts integer NOT NULL DEFAULT 0, claim_token uuid, worker text, claimed timestamptz,
+  lease_until timestamptz, finished timestamptz, reason text,
+  result_id bigint REFERENCES clampd.results (id), UNIQUE (job_id, check_id));
+CREATE INDEX queue_open ON clampd.queue (id) WHERE state IN ('waiting', 'claimed');
+CREATE INDEX queue_by_check ON clampd.queue (check_id);
 )sql"};
 
 /// A value of a connection string.
@@ -143,6 +175,28 @@ Result<void> PostgresqlConnection::open(const WakeEvent& wake) {
 
 Result<void> PostgresqlConnection::migrate() {
   return guarded(bring_up_to_date);
+}
+
+Result<std::string> PostgresqlConnection::schema_refusal() {
+  int version = 0;
+  const Result<void> read = guarded([&](pqxx::connection& connection) {
+    pqxx::work transaction(connection);
+    if (transaction.exec1("SELECT to_regclass('clampd.migrations') IS NOT NULL")[0].as<bool>())
+      version = transaction.exec1("SELECT COALESCE(MAX(version), 0) FROM clampd.migrations")[0].as<int>();
+  });
+  if (!read) return tl::unexpected(read.error());
+  if (version < kSchemaVersion)
+    return fmt::format(
+        "{}: its schema is {}, and this version ({}) needs {}: `clampctl archive submit` of this version, or "
+        "a "
+        "station of it, brings it up to date",
+        where(), version, kVersion, kSchemaVersion);
+  if (version > kSchemaVersion)
+    return fmt::format(
+        "{}: its schema is {}, newer than the {} that this version ({}) knows: install the newer version "
+        "here",
+        where(), version, kSchemaVersion, kVersion);
+  return std::string();
 }
 
 std::string PostgresqlConnection::description(const std::string& password) const {

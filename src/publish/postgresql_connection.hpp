@@ -13,6 +13,9 @@
 
 namespace clampd::publish {
 
+/// Of the database, as this version of clampd makes it.
+inline constexpr int kSchemaVersion = 4;
+
 /// One connection to a PostgreSQL server, and its errors in words. Used by one thread.
 class PostgresqlConnection {
  public:
@@ -22,13 +25,15 @@ class PostgresqlConnection {
   Result<void> open(const WakeEvent& wake);
   /// Brings the schema up to date; stations of an older version may go on using it.
   Result<void> migrate();
+  /// Why this version cannot read the database: its schema is older or newer; empty if it can.
+  Result<std::string> schema_refusal();
   /// Calls `work` with the connection; what it throws becomes an error.
   Result<void> guarded(const std::function<void(pqxx::connection&)>& work);
   void close() noexcept { connection_.reset(); }
-
- private:
   /// "PostgreSQL: HOST, database NAME".
   std::string where() const;
+
+ private:
   std::string description(const std::string& password) const;
 
   PostgresqlSettings settings_;

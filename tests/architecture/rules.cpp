@@ -34,13 +34,13 @@ const std::vector<LibraryRule>& library_rules() {
       {"linux/can", {"drivers/can"}, true},
       {"gpiod", {"drivers/gpio"}, false},
       {"mosquitto", {"publish"}, false},
-      {"pqxx", {"publish"}, false},
+      {"pqxx", {"publish", "reanalysis"}, false},
       {"sparkplug_b.pb", {"publish"}, false},
       {"boost/math/distributions", {"statistics"}, false},
       {"boost/asio", {"http"}, false},
       {"boost/beast", {"http"}, false},
       {"systemd/", {"daemon"}, false},
-      {"CLI/", {"tools/clampd", "tools/clampctl", "tools/clampd-plant"}, true},
+      {"CLI/", {"tools/clampd", "tools/clampctl", "tools/clampd-plant", "tools/clampd-worker"}, true},
   };
   return kRules;
 }
@@ -243,6 +243,8 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"station", {"diagnose", "sheet", "identify", "brake", "parameters", "ports", "record", "statistics", "base"}},
       {"archive", {"record", "base"}},
       {"publish", {"archive", "record", "base"}},
+      {"reanalysis",
+       {"publish", "archive", "station", "identify", "brake", "parameters", "record", "base"}},
       {"line", {"archive", "station", "record", "statistics", "base"}},
       {"attribution", {"statistics", "base"}},
       {"views", {"line", "attribution", "archive", "station", "drive", "diagnose", "brake", "record", "base"}},
@@ -261,9 +263,11 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"tools/dashboard", {"api"}},
       {"tools/reproduce", {"simulation", "views", "experiment", "identify", "record", "base"}},
       {"tools/clampd-plant", {"tools/cli", "bench", "simulation", "rt", "drivers/can", "base"}},
+      {"tools/clampd-worker", {"tools/cli", "reanalysis", "publish", "station", "base"}},
       {"tools/clampd", {"tools/dashboard", "tools/cli", "daemon", "api", "bench", "drivers/gpio", "base"}},
       {"tools/clampctl",
-       {"tools/reproduce", "tools/cli", "api", "bench", "simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "views", "line", "attribution",
+       {"tools/reproduce", "tools/cli", "reanalysis", "publish", "api", "bench", "simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "views", "line",
+        "attribution",
         "archive", "station", "sheet", "drive", "diagnose", "experiment", "identify", "brake", "parameters", "record", "base"}},
   };
   return kArrows;

@@ -1,0 +1,53 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "clampd/base/result.hpp"
+#include "clampd/reanalysis/task.hpp"
+#include "clampd/record/check_record.hpp"
+#include "clampd/station/run_collector.hpp"
+
+namespace clampd::reanalysis {
+
+/// A run as the archive holds it.
+struct ArchivedRun {
+  std::string name;
+  std::string sha256;               ///< of the run's file, as the check recorded it
+  std::optional<std::string> data;  ///< that file, compressed; nothing: it is not there (any more)
+  double tracking_rms_N = 0.0;
+  double tracking_max_N = 0.0;
+};
+
+/// A check as the archive holds it, as far as its verdict depends on it.
+struct ArchivedCheck {
+  std::string id;
+  std::string serial;
+  Verdict verdict = Verdict::Error;  ///< as it was recorded
+  std::string reason;
+  std::string fault;  ///< name of its cause; "none": there was none
+  std::uint32_t repeats = 0;
+  std::uint64_t ticks_skipped = 0;
+  std::uint64_t samples_lost = 0;
+  double tracking_rms_N = 0.0;
+  /// Deviations of the tare's means; nothing: the sensors were not tared.
+  std::optional<double> tare_force_sd_N;
+  std::optional<double> tare_velocity_sd_rad_s;
+  std::vector<ArchivedRun> runs;
+};
+
+/// The archive's runs as a station collected them. Errors: a run is missing, does not have its checksum, or
+/// is no run file.
+Result<std::vector<CollectedRun>> unpack_runs(const ArchivedCheck& check);
+
+/// Identifies the runs as a station does (each, then all jointly), on one thread, and judges them by the
+/// task's limits. The document (JSON, clampd.reanalysis/1) says nothing of the time it took or was made at,
+/// so that equal runs, task and software give equal texts. Nothing if `given_up` said so between two runs.
+std::optional<std::string> analyse(const ArchivedCheck& check, std::vector<CollectedRun> runs,
+                                   const Task& task, const std::string& task_sha256,
+                                   const std::function<bool()>& given_up);
+
+}  // namespace clampd::reanalysis

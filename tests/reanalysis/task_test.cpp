@@ -1,0 +1,66 @@
+#include "clampd/reanalysis/task.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "support/shipped_limits.hpp"
+
+namespace clampd::reanalysis {
+namespace {
+
+using ::testing::HasSubstr;
+
+Task an_odd_task() {
+  Task task;
+  task.method = Method::PredictionError;
+  task.nominal.theta[0] *= 1.0 / 3.0;
+  task.model = ExtendedParameters{task.nominal, {}};
+  task.limits = support::shipped_limits();
+  task.validity.misfit_max = 0.1 + 0.2;
+  task.tare_samples = 321;
+  return task;
+}
+
+TEST(Task, ReadsWhatItWrites) {
+  const std::string document = format_task(an_odd_task());
+  const Result<Task> read = parse_task(document);
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_EQ(read->nominal.theta, an_odd_task().nominal.theta);
+  EXPECT_EQ(read->method, Method::PredictionError);
+  EXPECT_TRUE(read->model.has_value());
+  EXPECT_EQ(read->validity.misfit_max, 0.1 + 0.2);
+  EXPECT_EQ(read->tare_samples, 321U);
+  EXPECT_EQ(read->limits.sha256, an_odd_task().limits.sha256);
+  EXPECT_EQ(format_task(*read), document);
+}
+
+TEST(Task, DoesNotDependOnTheFolderOfItsLimits) {
+  Task task = an_odd_task();
+  task.limits.file = "/somewhere/else/limits.toml";
+  EXPECT_EQ(format_task(task), format_task(an_odd_task()));
+}
+
+TEST(Task, SaysWhatIsWrong) {
+  const auto error = [](const std::string& document) {
+    const Result<Task> read = parse_task(document);
+    return read ? std::string("none") : read.error().message;
+  };
+  EXPECT_THAT(error("{"), HasSubstr("cannot be read"));
+  EXPECT_THAT(error("[]"), HasSubstr("cannot be read"));
+  nlohmann::ordered_json task = nlohmann::ordered_json::parse(format_task(an_odd_task()));
+  const auto with = [&](const char* key, const nlohmann::ordered_json& value) {
+    nlohmann::ordered_json changed = task;
+    changed[key] = value;
+    return error(changed.dump());
+  };
+  EXPECT_THAT(with("kind", "levitate"), HasSubstr("use a newer version"));
+  EXPECT_THAT(with("method", "guess"), HasSubstr("known are oem and pem"));
+  EXPECT_THAT(with("nominal", "k1 = ["), HasSubstr("nominal brake"));
+  EXPECT_THAT(with("limits", {{"file", "my.toml"}, {"text", "revision = 3"}}), HasSubstr("my.toml"));
+  EXPECT_THAT(with("validity", nlohmann::ordered_json::object()), HasSubstr("skipped_ticks_max"));
+  EXPECT_THAT(with("tare_samples", "many"), HasSubstr("cannot be read"));
+}
+
+}  // namespace
+}  // namespace clampd::reanalysis

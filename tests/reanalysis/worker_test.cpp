@@ -1,0 +1,184 @@
+#include "clampd/reanalysis/worker.hpp"
+
+#include <mutex>
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
+
+#include "reanalysis/archive_fixture.hpp"
+#include "support/eventually.hpp"
+
+namespace clampd::reanalysis {
+namespace {
+
+using support::checks_of_a_station;
+using ::testing::HasSubstr;
+
+class ArchiveWorkers : public support::Archive {
+ protected:
+  WorkerSummary run(const WorkerOptions& options) const {
+    publish::WakeEvent wake;
+    const Result<WorkerSummary> summary = work(options, wake);
+    if (!summary) throw std::runtime_error(summary.error().message);
+    return *summary;
+  }
+  std::vector<std::string> documents() const {
+    return server->column("SELECT document FROM clampd.results ORDER BY check_id");
+  }
+};
+
+/// The archive loses nothing that the verdict rests on: the same software says the same of the same runs.
+TEST_F(ArchiveWorkers, FindWhatTheStationFound) {
+  publish(checks_of_a_station());
+  const std::int64_t job = submit(task());
+  EXPECT_EQ(run(worker("one")).done, 4);
+  const auto results = jobs().results(job);
+  ASSERT_TRUE(results) << results.error().message;
+  ASSERT_EQ(results->size(), 4U);
+  bool has_failed_brake = false;
+  for (std::size_t i = 0; i < 4; ++i) {
+    const CheckRecord& check = checks_of_a_station()[i];
+    const auto found = nlohmann::json::parse(results->at(i).document);
+    EXPECT_EQ(found["record"], check.id);
+    EXPECT_EQ(found["verdict"], to_string(check.verdict)) << found["reason"];
+    EXPECT_EQ(found["marginal"], check.marginal);
+    has_failed_brake = has_failed_brake || check.verdict == Verdict::Fail;
+    ASSERT_EQ(found["parameters"].size(), check.parameters.size());
+    for (std::size_t k = 0; k < check.parameters.size(); ++k) {
+      EXPECT_EQ(found["parameters"][k]["value"], check.parameters[k].value) << check.parameters[k].name;
+      EXPECT_NEAR(found["parameters"][k]["sd"], check.parameters[k].sd, 1e-12 * check.parameters[k].sd);
+    }
+    for (std::size_t k = 0; k < check.runs.size(); ++k)
+      EXPECT_EQ(found["runs"][k]["sha256"], check.runs[k].checksum_sha256);
+  }
+  EXPECT_TRUE(has_failed_brake);
+}
+
+TEST_F(ArchiveWorkers, ShareTheTasksAndWriteTheSameTexts) {
+  publish(checks_of_a_station());
+  submit(task());
+  EXPECT_EQ(run(worker("alone")).done, 4);
+  const std::vector<std::string> alone = documents();
+  ASSERT_EQ(alone.size(), 4U);
+  ask("UPDATE clampd.queue SET result_id = NULL");
+  ask("DELETE FROM clampd.results");
+
+  submit(task());
+  WorkerSummary first, second;
+  std::thread other([&] { second = run(worker("second")); });
+  first = run(worker("first"));
+  other.join();
+  EXPECT_EQ(first.done + second.done, 4);
+  EXPECT_EQ(first.known + second.known, 0);
+  EXPECT_EQ(first.lost + second.lost, 0);
+  EXPECT_EQ(ask("SELECT max(attempts) FROM clampd.queue"), "1");
+  EXPECT_EQ(documents(), alone);
+}
+
+TEST_F(ArchiveWorkers, ComputeNothingTwice) {
+  publish(checks_of_a_station());
+  submit(task());
+  EXPECT_EQ(run(worker("one")).known, 0);
+  submit(task());
+  const WorkerSummary again = run(worker("two"));
+  EXPECT_EQ(again.done, 4);
+  EXPECT_EQ(again.known, 4);
+  Task other = task();
+  other.method = Method::PredictionError;
+  submit(other);
+  EXPECT_EQ(run(worker("three")).known, 0);
+  EXPECT_EQ(ask("SELECT count(*) FROM clampd.results"), "8");
+}
+
+TEST_F(ArchiveWorkers, FailATaskWhoseRunsAreNotThoseOfTheCheckAndDoItOnceTheyAre) {
+  publish(checks_of_a_station());
+  const std::int64_t job = submit(task());
+  const std::string sha256 = checks_of_a_station()[1].runs[2].checksum_sha256;
+  ask("CREATE TABLE kept AS SELECT * FROM clampd.raw_runs WHERE sha256 = '" + sha256 + "'");
+  ask("UPDATE clampd.raw_runs SET data = (SELECT data FROM clampd.raw_runs WHERE sha256 <> '" + sha256 +
+      "' LIMIT 1) WHERE sha256 = '" + sha256 + "'");
+  ask("DELETE FROM clampd.raw_runs WHERE sha256 = '" + checks_of_a_station()[3].runs[0].checksum_sha256 +
+      "'");
+  const WorkerSummary summary = run(worker("one"));
+  EXPECT_EQ(summary.done, 2);
+  EXPECT_EQ(summary.failed, 2);
+  EXPECT_EQ(states(), "done failed done failed");
+  EXPECT_THAT(ask("SELECT reason FROM clampd.queue WHERE state = 'failed' ORDER BY check_id LIMIT 1"),
+              HasSubstr("not those of the check"));
+  EXPECT_THAT(ask("SELECT reason FROM clampd.queue WHERE state = 'failed' ORDER BY check_id DESC LIMIT 1"),
+              HasSubstr("are not in the database"));
+  const auto status = jobs().status(job);
+  ASSERT_TRUE(status);
+  EXPECT_EQ(status->failures.size(), 2U);
+
+  ask("UPDATE clampd.raw_runs w SET data = k.data FROM kept k WHERE w.sha256 = k.sha256");
+  EXPECT_EQ(jobs().retry(job).value_or(-1), 2);
+  run(worker("two"));
+  EXPECT_EQ(states(), "done done done failed");
+}
+
+TEST_F(ArchiveWorkers, WaitForAServerThatIsAway) {
+  publish(checks_of_a_station());
+  submit(task());
+  server->stop();
+  std::mutex mutex;
+  std::string said;
+  WorkerOptions options = worker("patient");
+  options.say = [&](const std::string& words) {
+    const std::lock_guard lock(mutex);
+    said += words + "\n";
+  };
+  WorkerSummary summary;
+  std::thread thread([&] { summary = run(options); });
+  EXPECT_TRUE(support::eventually([&] {
+    const std::lock_guard lock(mutex);
+    return said.find("trying again in") != std::string::npos;
+  }));
+  server->start();
+  thread.join();
+  EXPECT_EQ(summary.done, 4);
+  EXPECT_THAT(said, HasSubstr("no connection"));
+  EXPECT_THAT(said, HasSubstr("connected\n"));
+}
+
+TEST_F(ArchiveWorkers, RefuseAnOlderAndANewerSchema) {
+  publish(checks_of_a_station());
+  submit(task());
+  publish::WakeEvent wake;
+  const auto refusal = [&] {
+    const Result<WorkerSummary> summary = work(worker("one"), wake);
+    return summary ? std::string("none") : summary.error().message;
+  };
+  ask("INSERT INTO clampd.migrations (version) VALUES (5)");
+  EXPECT_THAT(refusal(), HasSubstr("its schema is 5, newer than the 4"));
+  const auto newer = Jobs::open(settings(), true);
+  ASSERT_FALSE(newer);
+  EXPECT_THAT(newer.error().message, HasSubstr("install the newer version here"));
+  ask("DELETE FROM clampd.migrations WHERE version >= 4");
+  EXPECT_THAT(refusal(), HasSubstr("its schema is 3, and this version"));
+  const auto older = Jobs::open(settings(), false);
+  ASSERT_FALSE(older);
+  EXPECT_THAT(older.error().message, HasSubstr("needs 4"));
+  EXPECT_EQ(states(), "waiting waiting waiting waiting");
+}
+
+TEST_F(ArchiveWorkers, NeedNoMoreRightsThanTheySay) {
+  publish(checks_of_a_station());
+  submit(task());
+  server->column("CREATE ROLE helper LOGIN");
+  WorkerOptions options = worker("helper");
+  options.database.user = "helper";
+  publish::WakeEvent wake;
+  const Result<WorkerSummary> refused = work(options, wake);
+  ASSERT_FALSE(refused);
+  EXPECT_THAT(refused.error().message, HasSubstr("UPDATE on clampd.queue"));
+  ask("GRANT USAGE ON SCHEMA clampd TO helper");
+  ask("GRANT SELECT ON ALL TABLES IN SCHEMA clampd TO helper");
+  ask("GRANT INSERT ON clampd.results TO helper");
+  ask("GRANT UPDATE ON clampd.queue TO helper");
+  EXPECT_EQ(run(options).done, 4);
+}
+
+}  // namespace
+}  // namespace clampd::reanalysis
