@@ -179,12 +179,23 @@ Result<void> PostgresqlConnection::migrate() {
 
 Result<std::string> PostgresqlConnection::schema_refusal() {
   int version = 0;
+  bool may_look = false;
   const Result<void> read = guarded([&](pqxx::connection& connection) {
     pqxx::work transaction(connection);
+    may_look = transaction
+                   .exec1(
+                       "SELECT COALESCE((SELECT has_schema_privilege(oid, 'USAGE') FROM pg_namespace WHERE "
+                       "nspname = "
+                       "'clampd'), true)")[0]
+                   .as<bool>();
+    if (!may_look) return;
     if (transaction.exec1("SELECT to_regclass('clampd.migrations') IS NOT NULL")[0].as<bool>())
       version = transaction.exec1("SELECT COALESCE(MAX(version), 0) FROM clampd.migrations")[0].as<int>();
   });
   if (!read) return tl::unexpected(read.error());
+  if (!may_look)
+    return fmt::format("{}: the user lacks rights: it needs USAGE on schema clampd and SELECT on its tables",
+                       where());
   if (version < kSchemaVersion)
     return fmt::format(
         "{}: its schema is {}, and this version ({}) needs {}: `clampctl archive submit` of this version, or "

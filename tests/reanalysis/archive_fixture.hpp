@@ -89,6 +89,7 @@ class Archive : public ::testing::Test {
     options.until_empty = true;
     options.pause = 5ms;
     options.backoff = {5ms, 50ms};
+    options.say = [name](const std::string& words) { fmt::print("{}: {}\n", name, words); };
     return options;
   }
   std::string ask(const std::string& sql) const { return server->ask(sql); }

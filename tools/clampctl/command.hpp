@@ -34,6 +34,8 @@ void add_watch_commands(CLI::App& app, const CommonOptions& common,
 void add_results_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_records_commands(CLI::App& app, const CommonOptions& common,
                           int& exit_code);  ///< records verify, backup, restore
+void add_archive_commands(CLI::App& app, const CommonOptions& common,
+                          int& exit_code);  ///< archive submit, status, results, compare, retry, cancel
 void add_report_command(CLI::App& app, const CommonOptions& common, int& exit_code);
 void add_statistics_commands(CLI::App& app, const CommonOptions& common,
                              int& exit_code);  ///< statistics, limits

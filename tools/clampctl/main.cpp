@@ -31,6 +31,7 @@ int main(int argc, char** argv) {
   ctl::add_watch_commands(app, common, exit_code);
   ctl::add_results_command(app, common, exit_code);
   ctl::add_records_commands(app, common, exit_code);
+  ctl::add_archive_commands(app, common, exit_code);
   ctl::add_report_command(app, common, exit_code);
   ctl::add_statistics_commands(app, common, exit_code);
   ctl::add_line_command(app, exit_code);

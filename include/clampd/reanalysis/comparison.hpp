@@ -1,0 +1,40 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "clampd/base/result.hpp"
+#include "clampd/reanalysis/jobs.hpp"
+
+namespace clampd::reanalysis {
+
+struct ChangedVerdict {
+  std::string check;
+  std::string serial;
+  std::string before;
+  std::string after;
+  std::string reason;  ///< of the one after
+};
+
+/// How one parameter moved over all checks that have it before and after.
+struct MovedParameter {
+  std::string name;
+  std::string unit;
+  std::int64_t checks = 0;
+  double mean = 0.0;        ///< after minus before, in `unit`
+  double largest = 0.0;     ///< the one of largest size, with its sign
+  std::string largest_in;   ///< that check
+  double largest_sd = 0.0;  ///< the largest size over the standard deviation before; infinite if that was 0
+};
+
+struct Comparison {
+  std::int64_t checks = 0;
+  std::vector<ChangedVerdict> verdicts;    ///< that are not what they were
+  std::vector<MovedParameter> parameters;  ///< in the order in which they are first met
+};
+
+/// Errors: a document is none of clampd.reanalysis/1.
+Result<Comparison> compare(const std::vector<ComparedCheck>& checks);
+
+}  // namespace clampd::reanalysis

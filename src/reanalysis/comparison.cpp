@@ -1,0 +1,76 @@
+#include "clampd/reanalysis/comparison.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+namespace clampd::reanalysis {
+namespace {
+
+using nlohmann::json;
+
+const json* find_parameter_in(const json& document, const std::string& name) {
+  for (const json& parameter : document.at("parameters"))
+    if (parameter.at("name") == name) return &parameter;
+  return nullptr;
+}
+
+MovedParameter& entry_of(std::vector<MovedParameter>& list, const json& parameter) {
+  const std::string name = parameter.at("name");
+  const auto found =
+      std::find_if(list.begin(), list.end(), [&](const auto& moved) { return moved.name == name; });
+  if (found != list.end()) return *found;
+  MovedParameter& added = list.emplace_back();
+  added.name = name;
+  added.unit = parameter.at("unit");
+  return added;
+}
+
+/// `mean` is the sum until all checks are in.
+void add_move(const std::string& check, const json& before, const json& after,
+              std::vector<MovedParameter>& list) {
+  if (!before.at("value").is_number() || !after.at("value").is_number()) return;
+  const double move = after.at("value").get<double>() - before.at("value").get<double>();
+  const double sd = before.at("sd").is_number() ? before.at("sd").get<double>() : 0.0;
+  MovedParameter& moved = entry_of(list, after);
+  ++moved.checks;
+  moved.mean += move;
+  if (moved.largest_in.empty() || std::abs(move) > std::abs(moved.largest)) {
+    moved.largest = move;
+    moved.largest_in = check;
+  }
+  if (move != 0.0)
+    moved.largest_sd =
+        std::max(moved.largest_sd, sd > 0.0 ? std::abs(move) / sd : std::numeric_limits<double>::infinity());
+}
+
+/// Throws what nlohmann::json throws.
+void add_check(const ComparedCheck& check, Comparison& comparison) {
+  const json before = json::parse(check.before);
+  const json after = json::parse(check.document);
+  ++comparison.checks;
+  if (before.at("verdict") != after.at("verdict"))
+    comparison.verdicts.push_back(
+        {check.check, check.serial, before.at("verdict"), after.at("verdict"), after.at("reason")});
+  for (const json& parameter : after.at("parameters"))
+    if (const json* earlier = find_parameter_in(before, parameter.at("name")))
+      add_move(check.check, *earlier, parameter, comparison.parameters);
+}
+
+}  // namespace
+
+Result<Comparison> compare(const std::vector<ComparedCheck>& checks) {
+  Comparison comparison;
+  for (const ComparedCheck& check : checks) try {
+      add_check(check, comparison);
+    } catch (const json::exception& wrong) {
+      return failure(fmt::format("check {}: its result cannot be read: {}", check.check, wrong.what()));
+    }
+  for (MovedParameter& moved : comparison.parameters) moved.mean /= static_cast<double>(moved.checks);
+  return comparison;
+}
+
+}  // namespace clampd::reanalysis
