@@ -19,19 +19,20 @@ foreach(SETTING "interface = \"\"    =>interface = \"can0\""
 endforeach()
 file(CONFIGURE OUTPUT ${STATION_CONFIGURATION} CONTENT "${STATION_TEXT}" @ONLY)
 
-install(TARGETS clampd clampctl clampd-plant)
+install(TARGETS clampd clampctl clampd-plant clampd-worker)
 install(DIRECTORY configs/drives configs/brakes DESTINATION ${CMAKE_INSTALL_DATADIR}/clampd)
 install(FILES ${STATION_CONFIGURATION} configs/brake.dbc configs/limits.toml configs/plant.toml configs/sheet.toml
   configs/trajectory.csv
   DESTINATION /etc/clampd)
 install(FILES systemd/clampd-can.default DESTINATION /etc/default RENAME clampd-can)
-install(FILES systemd/clampd.service systemd/clampd.socket systemd/clampd-can@.service DESTINATION /lib/systemd/system)
+install(FILES systemd/clampd.service systemd/clampd.socket systemd/clampd-can@.service systemd/clampd-worker@.service
+  DESTINATION /lib/systemd/system)
 install(FILES systemd/clampd.sysusers DESTINATION /usr/lib/sysusers.d RENAME clampd.conf)
 install(FILES systemd/clampd.tmpfiles DESTINATION /usr/lib/tmpfiles.d RENAME clampd.conf)
 install(FILES systemd/clampd.modules DESTINATION /usr/lib/modules-load.d RENAME clampd.conf)
 install(FILES systemd/clampd.udev DESTINATION /lib/udev/rules.d RENAME 60-clampd.rules)
 install(FILES README.md ARCHITECTURE.md CHANGELOG.md DESTINATION ${CMAKE_INSTALL_DOCDIR})
-install(FILES docs/api.md docs/diagnosis.md docs/diagnosis.svg docs/sheet.md DESTINATION ${CMAKE_INSTALL_DOCDIR}/docs)
+install(FILES docs/api.md docs/diagnosis.md docs/diagnosis.svg docs/line.md docs/sheet.md DESTINATION ${CMAKE_INSTALL_DOCDIR}/docs)
 install(FILES LICENSE DESTINATION ${CMAKE_INSTALL_DOCDIR} RENAME copyright)
 install(DIRECTORY systemd/examples DESTINATION ${CMAKE_INSTALL_DOCDIR})
 

@@ -94,6 +94,10 @@ void ServerProcess::start(const std::vector<std::string>& arguments, const std::
   if (process_ < 0) throw std::runtime_error("cannot start " + arguments[0]);
 }
 
+void ServerProcess::signal(int signal) const {
+  if (process_ > 0) ::kill(process_, signal);
+}
+
 void ServerProcess::end(int signal) {
   if (process_ <= 0) return;
   ::kill(process_, signal);

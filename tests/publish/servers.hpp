@@ -19,6 +19,8 @@ class ServerProcess {
   void start(const std::vector<std::string>& arguments, const std::string& log);
   /// Sends the signal and waits until the process is gone.
   void end(int signal);
+  /// Sends it, and does not wait.
+  void signal(int signal) const;
   bool running() const { return process_ > 0; }
 
  private:

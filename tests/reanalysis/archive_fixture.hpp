@@ -16,13 +16,13 @@
 
 namespace clampd::support {
 
-/// Checks of simulated brakes, each with a serial of its own; brake 3 is soft. Driven once for all tests.
+/// Checks of simulated brakes, each with a serial of its own; brake 3 rubs. Driven once for all tests.
 inline const std::vector<CheckRecord>& checks_of_a_station() {
   static const std::vector<CheckRecord> kChecks = [] {
     std::vector<CheckRecord> checks;
     for (int number = 1; number <= 4; ++number) {
       sim::PlantConfiguration brake = bench::plant(static_cast<std::uint64_t>(number));
-      if (number == 3) brake.brake.theta[1] *= 0.75;
+      if (number == 3) brake.brake.theta[2] *= 2.5;
       bench::PreparedStation prepared = bench::prepared();
       prepared.configuration.check.diagnose = false;
       bench::EmbeddedStation station(std::move(prepared), brake);

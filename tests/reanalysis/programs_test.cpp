@@ -1,0 +1,162 @@
+#include <algorithm>
+#include <csignal>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
+#include <pqxx/pqxx>
+
+#include "reanalysis/archive_fixture.hpp"
+#include "support/command.hpp"
+#include "support/eventually.hpp"
+#include "support/temporary_directory.hpp"
+
+namespace clampd::reanalysis {
+namespace {
+
+using support::checks_of_a_station;
+using support::eventually;
+using ::testing::HasSubstr;
+
+class ArchivePrograms : public support::Archive {
+ protected:
+  void SetUp() override {
+    Archive::SetUp();
+    if (IsSkipped()) return;
+    publish(checks_of_a_station());
+    config = folder.write(
+        "station.toml",
+        fmt::format("[postgresql]\nhost = \"{}\"\ndatabase = \"line\"\nuser = \"line\"\n", server->host()));
+    // Servers, and the workers that are killed, run as another user where the test is root.
+    support::give_to_server(folder.path("."));
+  }
+  support::Outcome clampctl(const std::string& words) const {
+    return support::run_command(fmt::format("{} --config {} archive {}", CLAMPCTL, config, words));
+  }
+  support::Outcome worker_until_empty() const {
+    return support::run_command(
+        fmt::format("{} --config {} --until-empty --name second", CLAMPD_WORKER, config));
+  }
+  /// A worker that has claimed a task and cannot read its runs before `held` is over.
+  void start_held_worker(support::ServerProcess& process) const {
+    process.start({CLAMPD_WORKER, "--config", config, "--name", "first"}, folder.path("worker.log"));
+    ASSERT_TRUE(eventually([&] { return states().find("claimed") != std::string::npos; }))
+        << folder.read("worker.log");
+  }
+
+  support::TemporaryDirectory folder;
+  std::string config;
+};
+
+TEST_F(ArchivePrograms, TheTaskOfAKilledWorkerIsDoneByAnother) {
+  submit(task());
+  {
+    pqxx::connection holder(server->connection());
+    pqxx::work held(holder);
+    held.exec("LOCK TABLE clampd.raw_runs IN ACCESS EXCLUSIVE MODE");
+    support::ServerProcess first;
+    start_held_worker(first);
+    first.end(SIGKILL);
+  }
+  EXPECT_EQ(ask("SELECT worker FROM clampd.queue WHERE state = 'claimed'"), "first");
+  EXPECT_EQ(ask("SELECT lease_until > clock_timestamp() FROM clampd.queue WHERE state = 'claimed'"), "t");
+  ask("UPDATE clampd.queue SET lease_until = clock_timestamp() WHERE state = 'claimed'");
+  const support::Outcome outcome = worker_until_empty();
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("4 done (0 of them known before), 0 failed, 0 lost"));
+  EXPECT_EQ(states(), "done done done done");
+  EXPECT_EQ(ask("SELECT string_agg(attempts::text, '' ORDER BY attempts) FROM clampd.queue"), "1112");
+  EXPECT_EQ(ask("SELECT count(*) FROM clampd.results"), "4");
+}
+
+TEST_F(ArchivePrograms, AStoppedWorkerGivesItsTaskBack) {
+  submit(task());
+  support::ServerProcess first;
+  {
+    pqxx::connection holder(server->connection());
+    pqxx::work held(holder);
+    held.exec("LOCK TABLE clampd.raw_runs IN ACCESS EXCLUSIVE MODE");
+    start_held_worker(first);
+    first.signal(SIGTERM);
+  }
+  first.end(0);
+  EXPECT_THAT(folder.read("worker.log"),
+              HasSubstr("0 done (0 of them known before), 0 failed, 0 lost, 1 given back"));
+  EXPECT_EQ(states(), "waiting waiting waiting waiting");
+  EXPECT_EQ(ask("SELECT max(attempts) FROM clampd.queue"), "0");
+}
+
+TEST_F(ArchivePrograms, AJobFromItsSubmissionToWhatChanged) {
+  // Limits that the brake that rubs keeps too.
+  std::string text = support::shipped_limits().contents;
+  const std::string narrow = "TC  = {lower = 0.50, upper = 2.00}";
+  const std::string::size_type place = text.find(narrow);
+  ASSERT_NE(place, std::string::npos);
+  text.replace(place, narrow.size(), "TC  = {lower = 0.50, upper = 4.00}");
+  const std::string limits = folder.write("wide.toml", text);
+
+  support::Outcome said = clampctl("submit --json --name wider --limits " + limits);
+  ASSERT_EQ(said.exit_code, 0) << said.output;
+  EXPECT_EQ(nlohmann::json::parse(said.output)["tasks"], 4);
+  EXPECT_EQ(worker_until_empty().exit_code, 0);
+
+  said = clampctl("status last --json");
+  ASSERT_EQ(said.exit_code, 0) << said.output;
+  EXPECT_EQ(nlohmann::json::parse(said.output)["jobs"][0]["done"], 4);
+  EXPECT_THAT(clampctl("status").output, HasSubstr("(wider): 4 of 4 done"));
+
+  said = clampctl("results last --json");
+  ASSERT_EQ(said.exit_code, 0) << said.output;
+  const auto results = nlohmann::json::parse(said.output)["results"];
+  ASSERT_EQ(results.size(), 4U);
+  EXPECT_EQ(results[0]["result"]["serial"], "EMB-0001");
+  said = clampctl("results last --csv -");
+  EXPECT_EQ(std::count(said.output.begin(), said.output.end(), '\n'), 5) << said.output;
+  EXPECT_THAT(said.output, HasSubstr("k2 (N/rad^2),k2 sd (N/rad^2)"));
+
+  said = clampctl("compare last --json");
+  ASSERT_EQ(said.exit_code, 0) << said.output;
+  const auto comparison = nlohmann::json::parse(said.output);
+  EXPECT_EQ(comparison["checks"], 4);
+  ASSERT_EQ(comparison["verdicts_changed"].size(), 1U) << said.output;
+  EXPECT_EQ(comparison["verdicts_changed"][0]["serial"], "EMB-0003");
+  EXPECT_EQ(comparison["verdicts_changed"][0]["before"], "FAIL");
+  EXPECT_EQ(comparison["verdicts_changed"][0]["after"], "PASS");
+  for (const auto& parameter : comparison["parameters"]) EXPECT_EQ(parameter["largest"], 0.0) << parameter;
+
+  said = clampctl("submit --method pem --serial EMB-0001 --serial EMB-0002");
+  EXPECT_THAT(said.output, HasSubstr("job 2: 2 checks"));
+  EXPECT_THAT(clampctl("cancel 2").output, HasSubstr("job 2: 2 tasks cancelled"));
+  EXPECT_EQ(worker_until_empty().exit_code, 0);
+  EXPECT_EQ(ask("SELECT count(*) FROM clampd.results"), "4");
+  EXPECT_THAT(clampctl("retry 2").output, HasSubstr("job 2: 2 tasks wait again"));
+  EXPECT_EQ(worker_until_empty().exit_code, 0);
+  const auto other = nlohmann::json::parse(clampctl("compare 2 --with 1 --json").output);
+  EXPECT_EQ(other["checks"], 2);
+  EXPECT_EQ(other["parameters"].size(), 7U);
+  EXPECT_NE(other["parameters"][0]["largest"], 0.0) << "two methods";
+}
+
+TEST_F(ArchivePrograms, SayWhatIsWrong) {
+  support::Outcome said = clampctl("results last");
+  EXPECT_EQ(said.exit_code, 2);
+  EXPECT_THAT(said.output, HasSubstr("there is no"));
+  said = clampctl("submit --serial nobody");
+  EXPECT_EQ(said.exit_code, 2);
+  EXPECT_THAT(said.output, HasSubstr("no check was chosen"));
+  said = clampctl("submit --since yesterday");
+  EXPECT_EQ(said.exit_code, 2);
+  EXPECT_THAT(said.output, HasSubstr("is no date"));
+  EXPECT_EQ(clampctl("submit --limits /nowhere.toml").exit_code, 2);
+  const std::string empty = folder.write("empty.toml", "");
+  said = support::run_command(fmt::format("{} --config {} --until-empty", CLAMPD_WORKER, empty));
+  EXPECT_EQ(said.exit_code, 2);
+  EXPECT_THAT(said.output, HasSubstr("no [postgresql] host"));
+  ask("INSERT INTO clampd.migrations (version) VALUES (5)");
+  said = worker_until_empty();
+  EXPECT_EQ(said.exit_code, 2);
+  EXPECT_THAT(said.output, HasSubstr("newer than the 4"));
+}
+
+}  // namespace
+}  // namespace clampd::reanalysis
