@@ -371,39 +371,50 @@ Rests add_rests(const Design& design, const Selection& selection, const DriveMod
 
 /// A negative inertia that is certain is none of a drive, however little is left. A torque that is read late
 /// by tau loses tau times the viscous friction of it, to first order, so that the least such delay is known.
-bool inertia_is_possible(const DriveModel& model, Diagnosis& diagnosis) {
+std::optional<DataFinding> negative_inertia(const DriveModel& model,
+                                            const std::vector<EstimatedParameter>& parameters) {
   constexpr double kCertain_sds = 4.0;
-  const auto& parameters = diagnosis.parameters_after;
   const auto inertia = std::ranges::find(parameters, "inertia", &EstimatedParameter::name);
-  if (inertia == parameters.end() || !(inertia->value < -kCertain_sds * inertia->sd)) return true;
+  if (inertia == parameters.end() || !(inertia->value < -kCertain_sds * inertia->sd)) return std::nullopt;
   const auto viscous = std::ranges::find(parameters, "viscous", &EstimatedParameter::name);
   const std::string& column = model.columns.torque->column;
   const std::string what = fmt::format("with column {} the inertia would be negative, {:.3g} ± {:.1g} {}",
                                        column, inertia->value, inertia->sd, inertia->unit);
-  if (viscous != parameters.end() && viscous->value > 0.0) {
-    const double delay_s = -inertia->value / viscous->value;
-    diagnosis.data.push_back(
-        {"torque-delay", column, "", delay_s, "s", DataFinding::Severity::Note,
-         fmt::format(
-             "{}, as if it were recorded {:.2g} ms later than the motion, or more. Record both at the "
-             "same instant",
-             what, 1e3 * delay_s)});
-  } else {
-    diagnosis.data.push_back({"negative-inertia", column, "", inertia->value, inertia->unit,
-                              DataFinding::Severity::Note,
-                              fmt::format("{}: {} and motion do not belong together, in time, sign or unit",
-                                          what, model.effort())});
-  }
-  return false;
+  if (viscous == parameters.end() || !(viscous->value > 0.0))
+    return DataFinding{
+        "negative-inertia",
+        column,
+        "",
+        inertia->value,
+        inertia->unit,
+        DataFinding::Severity::Note,
+        fmt::format("{}: {} and motion do not belong together, in time, sign or unit", what, model.effort())};
+  const double delay_s = -inertia->value / viscous->value;
+  return DataFinding{
+      "torque-delay",
+      column,
+      "",
+      delay_s,
+      "s",
+      DataFinding::Severity::Note,
+      fmt::format("{}, as if it were recorded {:.2g} ms later than the motion, or more. Record both at the "
+                  "same instant",
+                  what, 1e3 * delay_s)};
+}
+
+/// Whether a model that leaves this explains the runs: as little as was asked for, or noise. Where the rows
+/// are too few for the motion, their scatter tells no noise.
+bool explains(const Remainder& rest, double good_enough, bool inertia_is_possible,
+              const std::vector<DataFinding>& findings) {
+  const bool noise_is_known = std::ranges::none_of(
+      findings, [](const DataFinding& each) { return each.name == "sampling-too-slow"; });
+  return inertia_is_possible && (rest.share < good_enough || (rest.is_noise() && noise_is_known));
 }
 
 void decide(const Rests& rests, const std::vector<std::string>& words, bool possible, const DriveModel& model,
             Diagnosis& diagnosis) {
   const Remainder& rest = rests.after;
-  // Where the rows are too few for the motion, their scatter tells no noise.
-  const bool noise_is_known = std::ranges::none_of(
-      diagnosis.data, [](const DataFinding& each) { return each.name == "sampling-too-slow"; });
-  const bool enough = possible && (rest.share < model.good_enough || (rest.is_noise() && noise_is_known));
+  const bool enough = explains(rest, model.good_enough, possible, diagnosis.data);
   const bool structured = rest.explainable > kStructured && !rest.is_noise();
   const std::string what_is_left = rest_words(rest, rests.dependences, Units(model));
   const double percent = 100.0 * rest.share;
@@ -510,7 +521,9 @@ Result<DriveDiagnosis> diagnose_drive(std::span<const Run> runs, const DriveMode
   if (!std::isfinite(rests.after.share) || !std::isfinite(rests.before.share))
     return failure(fmt::format("{}: the {} does not change in the runs, so that nothing can be told of it",
                                model.name, model.effort()));
-  decide(rests, words, inertia_is_possible(model, diagnosis), model, diagnosis);
+  const std::optional<DataFinding> negative = negative_inertia(model, diagnosis.parameters_after);
+  if (negative) diagnosis.data.push_back(*negative);
+  decide(rests, words, !negative, model, diagnosis);
   diagnosis.next_experiment = next_motion(diagnosis.fitted, diagnosis.rivals, selection.unseen, shop.range);
   for (const auto& [name, reason] : selection.unseen) diagnosis.unseen.push_back({name, reason.reason});
   for (const UnseenReason& each : kNeverSeen)
@@ -552,7 +565,9 @@ Result<DriveIdentification> identify_drive(std::span<const Run> runs, const Fitt
                                model.name, model.effort()));
   result.share_left = rest.share;
   result.share_explainable = explainable_share(*shop.design, refitted, model);
-  result.is_enough = rest.is_enough(model.good_enough);
+  const std::optional<DataFinding> negative = negative_inertia(model, result.parameters);
+  if (negative) diagnosis.data.push_back(*negative);
+  result.is_enough = explains(rest, model.good_enough, !negative, diagnosis.data);
   result.data = std::move(diagnosis.data);
   result.notices = std::move(diagnosis.notices);
   result.fitted = fitted_drive(shop, refitted, selector, estimate, model);

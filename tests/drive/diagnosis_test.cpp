@@ -479,6 +479,57 @@ TEST(DriveDiagnosis, ANegativeInertiaIsNeverAdequate) {
   EXPECT_THAT(diagnosis.data, ::testing::Contains(::testing::Field(&DataFinding::name, "torque-delay")));
 }
 
+// One rule for both: what is no explanation while effects are sought is none for a saved model either.
+TEST(DriveIdentification, ANegativeInertiaIsNeverEnough) {
+  DriveModel model = drive("[model]\ntorque-lag = \"off\"\npresliding = \"off\"\n");
+  model.good_enough = 0.5;  // however little is asked for
+  const DriveRun timely = commanded(500.0, 1e-4, 0.003, 0.0, 5),
+                 late = commanded(500.0, 1e-4, 0.003, 0.08, 5);
+  const Result<DriveDiagnosis> saved = diagnose_drive(std::span(&timely, 1), model, {});
+  ASSERT_TRUE(saved) << saved.error().message;
+  const Result<DriveIdentification> same = identify_drive(std::span(&timely, 1), saved->fitted);
+  ASSERT_TRUE(same) << same.error().message;
+  EXPECT_TRUE(same->is_enough);
+  const Result<DriveIdentification> identified = identify_drive(std::span(&late, 1), saved->fitted);
+  ASSERT_TRUE(identified) << identified.error().message;
+  EXPECT_LT(find(identified->parameters, "inertia").value, 0.0);
+  EXPECT_LT(identified->share_left, model.good_enough);
+  EXPECT_FALSE(identified->is_enough);
+  EXPECT_THAT(identified->data, ::testing::Contains(::testing::Field(
+                                    &DataFinding::words, HasSubstr("the inertia would be negative"))));
+}
+
+/// A harmonic motion with so many rows a period, and white noise of the torque.
+DriveRun harmonic(double rows_a_period, double torque_noise) {
+  std::mt19937_64 random(3);
+  std::normal_distribution<double> normal;
+  DriveRun run;
+  run.name = "run";
+  for (int i = 0; i < 1500; ++i) {
+    const double phase = 2.0 * M_PI * i / rows_a_period;
+    run.time_s.push_back(0.01 * i);
+    run.position_rad.push_back(std::sin(phase) + 0.2 * std::sin(0.31 * phase));
+    run.torque_Nm.push_back(0.3 * std::copysign(1.0, std::cos(phase)) - std::sin(phase) +
+                            torque_noise * normal(random));
+  }
+  return run;
+}
+
+TEST(DriveIdentification, ScatterOfTooFewRowsIsNoNoise) {
+  const auto sampled_slowly = ::testing::Contains(::testing::Field(&DataFinding::name, "sampling-too-slow"));
+  DriveModel model = drive();
+  model.good_enough = 1e-6;
+  const DriveRun run = harmonic(13.3, 0.3);
+  const Result<DriveDiagnosis> diagnosis = diagnose_drive(std::span(&run, 1), model, {});
+  ASSERT_TRUE(diagnosis) << diagnosis.error().message;
+  ASSERT_THAT(diagnosis->data, sampled_slowly);
+  EXPECT_EQ(diagnosis->verdict, DiagnosisVerdict::Unexplained) << diagnosis->summary;
+  const Result<DriveIdentification> identified = identify_drive(std::span(&run, 1), diagnosis->fitted);
+  ASSERT_TRUE(identified) << identified.error().message;
+  EXPECT_THAT(identified->data, sampled_slowly);
+  EXPECT_FALSE(identified->is_enough);
+}
+
 TEST(DriveDiagnosis, RefusesWhatItCannotJudge) {
   const auto message = [](const std::vector<DriveRun>& runs) {
     const Result<Diagnosis> diagnosis = diagnose_drive(runs, drive(), {});
