@@ -841,22 +841,27 @@ bool Selector::is_constant_load(const TorqueModel& model, Variant load) {
 }
 
 /// Dry friction that differs by direction and a constant torque are the same while the drive slides, and so
-/// is a load whose dependence on the place is not certain: the constant comes first.
+/// is a load whose dependence on the place is not certain, or too small to have a name by itself: the
+/// constant comes first.
 void Selector::prefer_the_constant(TorqueModel& model) {
+  const auto square = [&](const TorqueModel& each) { return design_.residuals(each.fit).squaredNorm(); };
   for (std::size_t p = 0; p < model.parts.size(); ++p) {
     const Variant& part = model.parts[p];
     if (is_base(part)) continue;
+    const bool load = part.term == DriveTerm::LoadPosition;
     const bool dry_only = part.term == DriveTerm::FrictionAsymmetry && part.functions.size() == 1 &&
                           part.functions.front().factor == BasisFunction::Factor::One;
-    const bool constant = is_constant_load(model, part);
-    if (!dry_only && !constant) continue;
-    for (const Variant& variant : pool_)
-      if (variant.term == DriveTerm::TorqueOffset)
-        if (TorqueModel other = with(without(model, p), variant);
-            other.ok() && (constant || other.evidence > model.evidence - kRivalNats)) {
-          model = std::move(other);
-          return;
-        }
+    if (!dry_only && !load) continue;
+    for (const Variant& variant : pool_) {
+      if (variant.term != DriveTerm::TorqueOffset) continue;
+      TorqueModel other = with(without(model, p), variant);
+      if (!other.ok()) continue;
+      if (load ? is_constant_load(model, part) || square(other) < square(model) + least_square_
+               : other.evidence > model.evidence - kRivalNats) {
+        model = std::move(other);
+        return;
+      }
+    }
   }
 }
 

@@ -64,7 +64,6 @@ class Withdrawal {
   Remainder left_by(const TorqueModel& model, double inertia = 0.0) const {
     return remainder_of(design_, model, inertia);
   }
-  double square_left_by(const TorqueModel& model) const { return std::pow(left_by(model).left, 2); }
   std::string names() const {
     std::vector<std::string> all;
     for (const Variant& part : effects_of(selection_)) all.push_back(part.name);
@@ -106,9 +105,11 @@ void Withdrawal::approximations() {
   }
 }
 
-/// Where much is left that is no noise, what fits it in part may only lean on it: the torque that is on no list
-/// looks a little like many that are, and more like several together. A name stays if it takes far more than
-/// is left, times the number of names; the weakest goes first.
+/// Where much is left that is no noise, what fits it in part may only lean on it: the torque that is on no
+/// list looks a little like many that are, and more like several together. A name stays if it takes far more
+/// than is left, times the number of names; the weakest goes first. Where what is left is good enough but a
+/// function of the columns, only that part of it counts. Models are compared by their share of the torque's
+/// variation: what takes a saturation out of the reading makes both smaller.
 void Withdrawal::what_leans_on_the_rest() {
   constexpr double kFarMore = 1.4;
   while (has_effects()) {
@@ -117,7 +118,7 @@ void Withdrawal::what_leans_on_the_rest() {
     double least = kFarMore * effects() * (left - rest.noise * rest.noise);
     if (rest.is_enough(model_.good_enough)) {
       const double share = explainable_share(design_, best_, model_);
-      least = share > kStructured ? share * left : 0.0;
+      least = share > kStructured ? effects() * share * left : 0.0;
     }
     if (!(least > 0.0)) return;
     std::optional<TorqueModel> without_weakest;
@@ -127,7 +128,7 @@ void Withdrawal::what_leans_on_the_rest() {
       if (!is_effect(selection_, part)) continue;
       TorqueModel smaller = selector_.without(best_, p);
       if (!smaller.ok()) continue;
-      const double taken = square_left_by(smaller) - left;
+      const double taken = std::pow(left_by(smaller).share * rest.variation, 2) - left;
       if (taken < least) {
         least = taken;
         weakest = part.name;

@@ -169,6 +169,17 @@ TEST(DriveDiagnosis, AnOffsetAndAsymmetricDryFrictionAreTwinsWhileSliding) {
 
 // A load cell reads the load from outside 2.5 times too small and with an offset; beside it a temperature
 // that does nothing.
+// The slope is certain, but makes less than half a per cent of the torque: no spring is named for it.
+TEST(DriveDiagnosis, AConstantLoadWithAHardlyNoticeableSlopeIsAConstant) {
+  for (const unsigned seed : {163u, 164u}) {
+    Truth truth;
+    truth.disturbance = 0.0;
+    truth.extra = [](double q, double, int) { return 0.08 + 5e-5 * q; };
+    const Diagnosis diagnosis = diagnosed(simulate_set(truth, seed));
+    EXPECT_THAT(names(diagnosis), ElementsAre("torque-offset")) << diagnosis.summary;
+  }
+}
+
 TEST(DriveDiagnosis, NamesTheColumnThatIsPartOfTheTorque) {
   Truth truth;
   truth.load = [](double t) {
