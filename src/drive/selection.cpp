@@ -845,6 +845,7 @@ bool Selector::is_constant_load(const TorqueModel& model, Variant load) {
 /// constant comes first.
 void Selector::prefer_the_constant(TorqueModel& model) {
   const auto square = [&](const TorqueModel& each) { return design_.residuals(each.fit).squaredNorm(); };
+  const double unnoticeable = std::pow(kLeastOfGoodEnough * model_.good_enough * variation_, 2);
   for (std::size_t p = 0; p < model.parts.size(); ++p) {
     const Variant& part = model.parts[p];
     if (is_base(part)) continue;
@@ -856,7 +857,7 @@ void Selector::prefer_the_constant(TorqueModel& model) {
       if (variant.term != DriveTerm::TorqueOffset) continue;
       TorqueModel other = with(without(model, p), variant);
       if (!other.ok()) continue;
-      if (load ? is_constant_load(model, part) || square(other) < square(model) + least_square_
+      if (load ? is_constant_load(model, part) || square(other) < square(model) + unnoticeable
                : other.evidence > model.evidence - kRivalNats) {
         model = std::move(other);
         return;

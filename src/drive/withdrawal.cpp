@@ -53,6 +53,7 @@ class Withdrawal {
         notices_(notices) {}
 
   void approximations();
+  void names_beside_two_others();
   void what_leans_on_the_rest();
   std::optional<std::string> what_takes_the_inertia();
   void parts_of_little();
@@ -63,6 +64,11 @@ class Withdrawal {
   double effects() const { return static_cast<double>(best_.parts.size() - base_.parts.size()); }
   Remainder left_by(const TorqueModel& model, double inertia = 0.0) const {
     return remainder_of(design_, model, inertia);
+  }
+  /// By which the square that is left is smaller than that of the smaller model. They are compared by their
+  /// shares of the torque's variation: what takes a saturation out of the reading makes both smaller.
+  double taken_from(const TorqueModel& smaller, const Remainder& rest) const {
+    return std::pow(left_by(smaller).share * rest.variation, 2) - rest.left * rest.left;
   }
   std::string names() const {
     std::vector<std::string> all;
@@ -105,6 +111,33 @@ void Withdrawal::approximations() {
   }
 }
 
+/// Two defects at once are rare and three are rarer, but what is on no list is often made up of several that
+/// are. While there are more names than two, each has to take more than is left, or be beyond doubt; of those
+/// that do not, the one with the least evidence goes first.
+void Withdrawal::names_beside_two_others() {
+  constexpr double kFew = 2.0, kBeyondDoubt_nats = 100.0;
+  while (effects() > kFew) {
+    const Remainder rest = left_by(best_);
+    const double left = rest.left * rest.left;
+    std::optional<TorqueModel> without_weakest;
+    std::string weakest;
+    for (std::size_t p = 0; p < best_.parts.size(); ++p) {
+      if (!is_effect(selection_, best_.parts[p])) continue;
+      TorqueModel smaller = selector_.without(best_, p);
+      if (!smaller.ok() || best_.evidence - smaller.evidence > kBeyondDoubt_nats ||
+          taken_from(smaller, rest) > left - rest.noise * rest.noise ||
+          (without_weakest && smaller.evidence < without_weakest->evidence))
+        continue;
+      weakest = best_.parts[p].name;
+      without_weakest = std::move(smaller);
+    }
+    if (!without_weakest) return;
+    notices_.push_back(
+        fmt::format("{} beside other effects would explain less than what would still be left", weakest));
+    best_ = std::move(*without_weakest);
+  }
+}
+
 /// Where much is left that is no noise, what fits it in part may only lean on it: the torque that is on no
 /// list looks a little like many that are, and more like several together. A name stays if it takes far more
 /// than is left, times the number of names; the weakest goes first. Where what is left is good enough but a
@@ -128,7 +161,7 @@ void Withdrawal::what_leans_on_the_rest() {
       if (!is_effect(selection_, part)) continue;
       TorqueModel smaller = selector_.without(best_, p);
       if (!smaller.ok()) continue;
-      const double taken = std::pow(left_by(smaller).share * rest.variation, 2) - left;
+      const double taken = taken_from(smaller, rest);
       if (taken < least) {
         least = taken;
         weakest = part.name;
@@ -225,6 +258,7 @@ Selection selected_effects(Selector& selector, const Design& design, const Drive
     withdraw.approximations();
     std::optional<std::string> none = withdraw.what_takes_the_inertia();
     if (!none) {
+      withdraw.names_beside_two_others();
       withdraw.what_leans_on_the_rest();
       none = withdraw.what_takes_the_inertia();
     }

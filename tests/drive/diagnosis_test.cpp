@@ -321,6 +321,29 @@ TEST(DriveDiagnosis, WhatIsNotOnTheListHasNoName) {
   }
 }
 
+// A load that switches on beyond one place is on no list. Effects of the place take most of it; what they
+// leave is still a function of the place, so that a ripple which fits that in part is none.
+TEST(DriveDiagnosis, AFurtherNameHasToTakeMoreThanWhatIsLeftStillShows) {
+  std::mt19937_64 random(76);
+  std::normal_distribution<double> normal;
+  DriveRun run;
+  run.name = "run";
+  for (int i = 0; i < 4000; ++i) {
+    const double t = i / 250.0, slow = 3.0 * t, fast = 8.1 * t;
+    const double q = 6.0 * std::sin(slow) + 0.6 * std::sin(fast),
+                 v = 18.0 * std::cos(slow) + 4.86 * std::cos(fast),
+                 a = -54.0 * std::sin(slow) - 39.366 * std::sin(fast);
+    run.time_s.push_back(t);
+    run.position_rad.push_back(1e-5 * std::round(1e5 * q));
+    run.torque_Nm.push_back(0.02 * a + 3e-3 * v + std::copysign(0.15, v) +
+                            0.18 * std::tanh(10.0 * (q / 6.0 - 0.528)) + 2e-3 * normal(random));
+  }
+  DriveModel model = drive();
+  model.torque_held = false;
+  const Diagnosis diagnosis = diagnosed(std::span(&run, 1), model);
+  EXPECT_THAT(names(diagnosis), ::testing::Not(::testing::Contains("cogging"))) << diagnosis.summary;
+}
+
 TEST(DriveDiagnosis, HeldOutRunsHaveAVeto) {
   // A ripple whose phase is another one after the position was lost.
   Truth truth, other;
