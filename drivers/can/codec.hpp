@@ -54,6 +54,7 @@ struct FrameLayout {
   /// Whether a frame with this identifier has the size, format and protection that it must have. A bit-rate
   /// switch is not looked at: it is the sender's choice.
   CLAMPD_REALTIME bool intact(const Frame& frame) const noexcept;
+  bool operator==(const FrameLayout&) const = default;
 };
 
 /// A quantity of the feedback: which of its frames, and where in it.
@@ -61,6 +62,8 @@ struct FeedbackField {
   bool present = false;
   std::size_t frame = 0;
   Field field;
+
+  bool operator==(const FeedbackField&) const = default;
 };
 
 /// Everything the protocol needs to know of the frames; immutable once built.
@@ -93,6 +96,8 @@ struct ProtocolCodec {
   bool needs_flexible_data_rate() const;
   /// Wire bits of one sample period, worst case, at the nominal bit rate: command and all feedback frames.
   int bits_per_period(double data_speedup = 1.0) const;
+  /// The same frames, read and written the same.
+  bool operator==(const ProtocolCodec&) const = default;
 };
 
 /// Share of the bus (0..1) that the cyclic frames of this codec take at most.

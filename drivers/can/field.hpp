@@ -32,6 +32,7 @@ class Field {
   double scale() const noexcept { return scale_; }
   double minimum() const noexcept { return minimum_; }
   double maximum() const noexcept { return maximum_; }
+  bool operator==(const Field&) const = default;
 
  private:
   std::uint64_t load(const Frame& frame) const noexcept;

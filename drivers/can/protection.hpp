@@ -49,6 +49,8 @@ struct CrcDescription {
   std::uint64_t final_xor = 0;
   bool reflected = false;                   ///< input and output
   DataIdPlace data_id = DataIdPlace::None;  ///< both bytes of it, low byte first
+
+  bool operator==(const CrcDescription&) const = default;
 };
 
 /// What the configuration says of a brake's protection.
@@ -92,6 +94,7 @@ class FrameProtection {
     return counter_steps(from, to, counter_values_);
   }
   bool has_checksum() const noexcept { return checksum_ != Checksum::None; }
+  bool operator==(const FrameProtection&) const = default;
 
  private:
   class Builder;

@@ -80,7 +80,7 @@ std::string format_csv(const std::vector<CheckRecord>& checks) {
     for (const char* column : {"", " sd", " lower", " upper"})
       text += "," + cell(fmt::format("{}{} [{}]", name, column, unit));
   for (const auto& [name, unit] : names) text += "," + cell(name + " verdict");
-  text += ",void,misfit_marked,stopped_because";
+  text += ",void,misfit_marked,stopped_because,recipe_version,recipe_sha256";
   text += "\r\n";
   for (const CheckRecord& c : checks) {
     std::string cause;
@@ -127,6 +127,8 @@ std::string format_csv(const std::vector<CheckRecord>& checks) {
     row.push_back(c.voided ? cell(c.voided->reason) : "");
     row.push_back(!c.systematic ? "" : c.systematic->marked ? "1" : "0");
     row.push_back(c.stopping ? cell(c.stopping->reason) : "");
+    row.push_back(c.recipe ? cell(c.recipe->version) : "");
+    row.push_back(c.recipe ? cell(c.recipe->sha256) : "");
     text += fmt::format("{}\r\n", fmt::join(row, ","));
   }
   return text;

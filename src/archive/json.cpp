@@ -94,6 +94,12 @@ ordered_json sheet_json(const std::optional<SheetRecord>& sheet) {
           {"characteristics", std::move(lines)}};
 }
 
+/// Null where the station had no recipes.
+ordered_json recipe_json(const std::optional<RecipeRecord>& recipe) {
+  if (!recipe) return nullptr;
+  return {{"file", recipe->file}, {"version", recipe->version}, {"sha256", recipe->sha256}};
+}
+
 }  // namespace
 
 ordered_json characteristic_json(const CharacteristicRecord& line, bool misfit_marked) {
@@ -150,6 +156,7 @@ ordered_json check_json(const CheckRecord& record) {
           {"stopped", record.stopped},
           {"simulated", record.simulated},
           {"part_number", record.part_number},
+          {"recipe", recipe_json(record.recipe)},
           {"batch", record.batch},
           {"station", record.station},
           {"fixture", record.fixture},
@@ -190,6 +197,7 @@ nlohmann::ordered_json summaries_json(const std::vector<CheckSummary>& checks) {
   for (const CheckSummary& check : checks)
     list.push_back({{"record", check.id},
                     {"serial", check.serial},
+                    {"part_number", check.part_number},
                     {"started", check.started},
                     {"verdict", to_string(check.verdict)},
                     {"marginal", check.marginal},

@@ -126,7 +126,21 @@ std::optional<SheetRecord> sheet_from(const std::string& text) {
   return record;
 }
 
-constexpr int kCheckColumns = 44;
+/// Empty where the station had no recipes.
+std::string recipe_text(const std::optional<RecipeRecord>& recipe) {
+  return recipe ? nlohmann::json{{"file", recipe->file}, {"version", recipe->version}, {"sha256", recipe->sha256}}
+                      .dump()
+                : "";
+}
+
+std::optional<RecipeRecord> recipe_from(const std::string& text) {
+  if (text.empty()) return std::nullopt;
+  const nlohmann::json recipe = nlohmann::json::parse(text);
+  return RecipeRecord{recipe.at("file").get<std::string>(), recipe.at("version").get<std::string>(),
+                      recipe.at("sha256").get<std::string>()};
+}
+
+constexpr int kCheckColumns = 45;
 /// Microseconds; the loop keeps a few thousand.
 constexpr std::size_t kMaxHistogramBins = 1'000'000;
 
@@ -141,7 +155,8 @@ void insert_check(SQLite::Database& database, const CheckRecord& r) {
       << r.timing.lateness_min_us << r.timing.lateness_avg_us << r.timing.lateness_max_us << r.timing.bus_load
       << r.method << r.noise_torque_Nm << cause_text(r.cause) << torque_while_off_text(r.torque_while_off)
       << r.tare_force_N << r.tare_force_sd_N << r.tare_velocity_rad_s << r.tare_velocity_sd_rad_s
-      << systematic_text(r.systematic) << stopping_text(r.stopping) << sheet_text(r.sheet);
+      << systematic_text(r.systematic) << stopping_text(r.stopping) << sheet_text(r.sheet)
+      << recipe_text(r.recipe);
   row.insert();
 }
 
@@ -273,7 +288,7 @@ void insert_record(SQLite::Database& database, const CheckRecord& record) {
 }
 
 void read_check(SQLite::Statement& statement, CheckRecord& r) {
-  std::string covariance, cause, torque_while_off, systematic, stopping, sheet;
+  std::string covariance, cause, torque_while_off, systematic, stopping, sheet, recipe;
   Columns columns(statement);
   columns >> r.id >> r.serial >> r.part_number >> r.batch >> r.station >> r.fixture >> r.operator_name >>
       r.software_version >> r.limits_file >> r.limits_revision >> r.limits_sha256 >> r.trajectory_sha256 >>
@@ -282,7 +297,8 @@ void read_check(SQLite::Statement& statement, CheckRecord& r) {
       r.tracking_rms_N >> r.timing.ticks >> r.timing.skipped >> r.timing.lost_samples >>
       r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >>
       r.method >> r.noise_torque_Nm >> cause >> torque_while_off >> r.tare_force_N >> r.tare_force_sd_N >>
-      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic >> stopping >> sheet;
+      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic >> stopping >> sheet >> recipe;
+  r.recipe = recipe_from(recipe);
   r.sheet = sheet_from(sheet);
   r.stopping = stopping_from(stopping);
   r.systematic = systematic_from(systematic);

@@ -225,12 +225,12 @@ Result<void> CheckStore::save(const CheckRecord& record) {
 Result<std::vector<CheckSummary>> CheckStore::list(const CheckFilter& filter) const {
   try {
     SQLite::Statement statement = select_checks(
-        database_->handle, "id, serial, started, verdict, marginal, simulated, repeats, duration_s, reason",
+        database_->handle, "id, serial, started, verdict, marginal, simulated, repeats, duration_s, reason, part_number",
         filter);
     Amendments amendments(database_->handle);
     return read_rows<CheckSummary>(statement, [&](CheckSummary& check) {
       Columns(statement) >> check.id >> check.serial >> check.started >> check.verdict >> check.marginal >>
-          check.simulated >> check.repeats >> check.duration_s >> check.reason;
+          check.simulated >> check.repeats >> check.duration_s >> check.reason >> check.part_number;
       amendments.apply_to(check);
     });
   } catch (const SQLite::Exception& exception) {

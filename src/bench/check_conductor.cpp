@@ -59,16 +59,16 @@ std::string as_sentence(std::string_view text) {
 }
 
 /// The configured time is for the configured repeats: more of them have as much more.
-double deadline_of(const PreparedStation& station, std::uint32_t repeats) {
-  return station.configuration.check.deadline_s *
-         std::max(1.0, static_cast<double>(repeats) / static_cast<double>(station.plan.repeats));
+double deadline_of(const PreparedCheck& check, std::uint32_t repeats) {
+  return check.configuration.check.deadline_s *
+         std::max(1.0, static_cast<double>(repeats) / static_cast<double>(check.plan.repeats));
 }
 
 }  // namespace
 
 CheckConductor::CheckConductor(const PreparedStation& station, rt::ControlCore& core, CheckStore* store,
                                WorkerMode mode)
-    : station_(station), core_(core), store_(store), mode_(mode), plan_(station.plan) {}
+    : station_(station), core_(core), store_(store), mode_(mode), plan_(station.plan), check_(&station) {}
 
 CheckConductor::~CheckConductor() = default;
 
@@ -99,27 +99,32 @@ void CheckConductor::hand_over(const rt::StartTicket& ticket) {
 Result<void> CheckConductor::begin(const CheckRequest& request, const rt::StartTicket& ticket, Instant now) {
   if (const Result<void> valid = validate(request); !valid) return valid;
   if (!busy() && unsaved_) return failure(storage_problem_);
+  const Result<ChosenCheck> chosen = choose_check(station_, normalised(request));
+  if (!chosen) return tl::unexpected(chosen.error());
   if (const Result<void> ready = may_start(ticket); !ready) return ready;
 
   take_samples();
-  plan_.open_only = false;
-  plan_.repeats = static_cast<std::uint16_t>(planned_repeats(request, station_.configuration.check).most);
-  plan_.deadline_s = deadline_of(station_, plan_.repeats);
+  check_ = chosen->check;
+  plan_ = check_->plan;
+  plan_.repeats = static_cast<std::uint16_t>(planned_repeats(request, check_->configuration.check).most);
+  plan_.deadline_s = deadline_of(*check_, plan_.repeats);
   CheckContext context;
   context.trajectory_rows = plan_.reference.rows.size();
-  context.trajectory_sha256 = station_.trajectory_sha256;
+  context.trajectory_sha256 = check_->trajectory_sha256;
   context.software_version = std::string(kVersion);
   context.started_utc_ns = now.utc_ns;
-  context.sheet = station_.sheet;
+  context.sheet = check_->sheet;
+  context.recipe = chosen->recipe;
   const Run off = off_.run();
   context.torque_while_off = torque_while_off(std::span(&off, 1));
   session_ = std::make_unique<CheckSession>(
-      station_.configuration, station_.limits, request, context,
-      station_.model ? estimator_of(*station_.model) : estimator_of(station_.configuration.check.method),
+      check_->configuration, check_->limits, request, context,
+      check_->model ? estimator_of(*check_->model) : estimator_of(check_->configuration.check.method),
       mode_);
   session_->watch_search(search_);
   diagnosis_.reset();
   serial_ = normalised(request).serial;
+  part_number_ = session_->head().part_number;
   id_ = session_->head().id;
   // The brake does not wait for the disk: at worst a kill within the first milliseconds leaves no trace. A
   // disk that refuses this will refuse the record too, and that is said.
@@ -241,7 +246,7 @@ void CheckConductor::end_opening(const CheckOutcome& outcome) {
 
 Result<void> CheckConductor::save(CheckRecord& record) const {
   if (store_ == nullptr) return {};
-  const LimitSet& limits = station_.limits;
+  const LimitSet& limits = check_->limits;
   return store_
       ->save_limits({limits.sha256, limits.revision, limits.author, limits.changed, limits.file,
                      limits.contents, record.started})

@@ -41,6 +41,9 @@ Result<CheckRecord> parse_journal(const std::string& file, const std::string& te
     for (const JournalText& field : kJournalTexts) document.at(field.key).get_to(record.*field.member);
     document.at("simulated").get_to(record.simulated);
     document.at("repeats").get_to(record.repeats);
+    if (const auto recipe = document.find("recipe"); recipe != document.end())  // an older one has none
+      record.recipe = RecipeRecord{recipe->at("file").get<std::string>(), recipe->at("version").get<std::string>(),
+                                   recipe->at("sha256").get<std::string>()};
     return record;
   } catch (const nlohmann::json::exception& exception) {
     return failure(
@@ -57,6 +60,9 @@ Result<void> CheckJournal::begin(const CheckRecord& head) const {
   for (const JournalText& field : kJournalTexts) document[field.key] = head.*field.member;
   document["simulated"] = head.simulated;
   document["repeats"] = head.repeats;
+  if (head.recipe)
+    document["recipe"] = {
+        {"file", head.recipe->file}, {"version", head.recipe->version}, {"sha256", head.recipe->sha256}};
   return write_file_atomically(
       file_, document.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
 }

@@ -27,9 +27,7 @@ std::int64_t utc_now_ns() {
 
 EmbeddedStation::EmbeddedStation(PreparedStation station, const sim::PlantConfiguration& plant)
     : station_(std::move(station)),
-      own_deadline_s_(station_.configuration.check.deadline_s),
-      own_repeats_(static_cast<double>(station_.plan.repeats)),
-      own_rows_(static_cast<double>(station_.plan.reference.rows.size())),
+      as_configured_(station_),
       bus_(static_cast<double>(station_.configuration.can.bitrate),
            bus_format(station_.configuration, station_.codec)),
       port_(bus_.end(can::EmbeddedBus::End::Station), station_.codec),
@@ -83,10 +81,18 @@ Result<Run> EmbeddedStation::stand_by(std::size_t rows) {
 Result<void> EmbeddedStation::use_trajectory(const Run& trajectory) {
   Result<Reference> reference = build_reference(trajectory, station_.configuration.model);
   if (!reference) return tl::unexpected(reference.error());
-  station_.plan.reference = std::move(*reference);
-  station_.trajectory_sha256 = sha256_hex(format_run(trajectory));
-  const double longer_s = std::max(0.0, static_cast<double>(trajectory.size()) - own_rows_) * kPeriod_s;
-  station_.configuration.check.deadline_s = own_deadline_s_ + own_repeats_ * longer_s;
+  const std::string sha256 = sha256_hex(format_run(trajectory));
+  const auto use_in = [&](PreparedCheck& check, const PreparedCheck& as_configured) {
+    check.plan.reference = *reference;
+    check.trajectory_sha256 = sha256;
+    const double own_rows = static_cast<double>(as_configured.plan.reference.rows.size());
+    const double longer_s = std::max(0.0, static_cast<double>(trajectory.size()) - own_rows) * kPeriod_s;
+    check.configuration.check.deadline_s =
+        as_configured.configuration.check.deadline_s + as_configured.plan.repeats * longer_s;
+  };
+  use_in(station_, as_configured_);
+  for (std::size_t i = 0; i < station_.recipes.size(); ++i)
+    use_in(station_.recipes[i], as_configured_.recipes[i]);
   return {};
 }
 

@@ -245,55 +245,112 @@ Result<StationConfiguration> load_configuration(const std::string& path) {
   return defaults;
 }
 
-Result<PreparedStation> prepare_station(const StationConfiguration& configuration) {
-  PreparedStation station;
-  station.configuration = configuration;
+namespace {
 
-  Result<LimitSet> limits = configuration.limits_file.empty()
-                                ? parse_limits(std::string(kBuiltinLimits), "built-in limits.toml")
-                                : read_limits(configuration.limits_file);
+Result<LimitSet> limits_of(const StationConfiguration& configuration, const Recipe* recipe) {
+  if (recipe != nullptr && recipe->limits) return *recipe->limits;
+  return configuration.limits_file.empty() ? parse_limits(std::string(kBuiltinLimits), "built-in limits.toml")
+                                           : read_limits(configuration.limits_file);
+}
+
+Result<void> prepare_trajectory(PreparedCheck& check) {
+  const std::string& file = check.configuration.check.trajectory;
+  const Result<LoadedRun> trajectory =
+      file.empty() ? parse_run(std::string(kBuiltinTrajectory), "built-in trajectory.csv") : read_run(file);
+  if (!trajectory) return tl::unexpected(trajectory.error());
+  Result<Reference> reference = build_reference(trajectory->run, check.configuration.model);
+  if (!reference) return tl::unexpected(reference.error());
+  check.trajectory_sha256 = sha256_hex(format_run(trajectory->run));
+  check.plan = check_plan(check.configuration, std::move(*reference));
+  return check_deadline(check.configuration, check.plan);
+}
+
+/// What `configuration` names, and the limits that are written into `recipe`, if there is one.
+Result<PreparedCheck> prepare_check(const StationConfiguration& configuration, const Recipe* recipe) {
+  PreparedCheck check;
+  check.configuration = configuration;
+
+  Result<LimitSet> limits = limits_of(configuration, recipe);
   if (!limits) return tl::unexpected(limits.error());
-  station.limits = std::move(*limits);
+  check.limits = std::move(*limits);
 
   if (!configuration.check.model.empty()) {
     Result<ExtendedParameters> model = read_check_model(configuration);
     if (!model) return tl::unexpected(model.error());
-    station.model = std::move(*model);
-    station.configuration.check.method = Method::PredictionError;
+    check.model = std::move(*model);
+    check.configuration.check.method = Method::PredictionError;
   }
-  if (const Result<void> usable = check_limits(station.limits, station.model.value_or(ExtendedParameters{}));
+  if (const Result<void> usable = check_limits(check.limits, check.model.value_or(ExtendedParameters{}));
       !usable)
     return tl::unexpected(usable.error());
 
   if (!configuration.sheet_file.empty()) {
     Result<Sheet> sheet = read_sheet(configuration.sheet_file);
     if (!sheet) return tl::unexpected(sheet.error());
-    if (station.model)
+    if (check.model)
       return failure(fmt::format(
           "{}: a sheet is about the base model, and [check] model names one with effects that it does "
           "not count: leave out one of the two",
           sheet->file));
-    station.sheet = std::move(*sheet);
+    check.sheet = std::move(*sheet);
   }
+  return prepare_trajectory(check).map([&] { return std::move(check); });
+}
+
+/// Codec and socket belong to a loop that never stands still, since it feeds the brake's watchdog in IDLE too: they
+/// stay what they are, and a recipe that needs others is refused.
+Result<std::string> refusal_of(const Recipe& recipe, StationConfiguration configuration,
+                               const can::ProtocolCodec& of_station) {
+  if (!recipe.states_can_layout()) return std::string();
+  const std::string own = configuration.can.dbc.empty() ? "the built-in brake.dbc" : configuration.can.dbc;
+  if (!recipe.dbc.empty()) configuration.can.dbc = recipe.dbc;
+  if (!recipe.mapping.empty()) configuration.can.mapping = recipe.mapping;
+  configuration.file = recipe.file;  // whose [can] it is, in messages
+  return build_codec(configuration).map([&](const can::ProtocolCodec& needed) {
+    return needed == of_station
+               ? std::string()
+               : fmt::format("its recipe {} needs the CAN layout of {}, and this station runs that of {}: check these "
+                             "brakes on a station that is configured for them ([can] dbc and [can.mapping])",
+                             recipe.file, configuration.can.dbc.empty() ? own : configuration.can.dbc, own);
+  });
+}
+
+Result<PreparedRecipe> prepare_recipe(const PreparedStation& station, Recipe recipe) {
+  const auto named_by = [&recipe](const Error& error) {
+    const bool own = error.message.starts_with(recipe.file + ":");
+    return failure(own ? error.message
+                       : fmt::format("{}: part number {}: {}", recipe.file, recipe.part_number, error.message));
+  };
+  Result<PreparedCheck> check = prepare_check(with_recipe(station.configuration, recipe), &recipe);
+  if (!check) return named_by(check.error());
+  Result<std::string> refusal = refusal_of(recipe, station.configuration, station.codec);
+  if (!refusal) return named_by(refusal.error());
+  return PreparedRecipe{std::move(*check), std::move(recipe), std::move(*refusal)};
+}
+
+}  // namespace
+
+Result<PreparedStation> prepare_station(const StationConfiguration& configuration) {
+  Result<PreparedCheck> own = prepare_check(configuration, nullptr);
+  if (!own) return tl::unexpected(own.error());
+  PreparedStation station;
+  static_cast<PreparedCheck&>(station) = std::move(*own);
 
   Result<can::ProtocolCodec> codec = build_codec(configuration);
   if (!codec) return tl::unexpected(codec.error());
   station.codec = std::move(*codec);
-
-  const std::string& file = configuration.check.trajectory;
-  const Result<LoadedRun> trajectory =
-      file.empty() ? parse_run(std::string(kBuiltinTrajectory), "built-in trajectory.csv") : read_run(file);
-  if (!trajectory) return tl::unexpected(trajectory.error());
-  Result<Reference> reference = build_reference(trajectory->run, configuration.model);
-  if (!reference) return tl::unexpected(reference.error());
-  station.trajectory_sha256 = sha256_hex(format_run(trajectory->run));
-  station.plan = check_plan(configuration, std::move(*reference));
-  if (const Result<void> enough = check_deadline(configuration, station.plan); !enough)
-    return tl::unexpected(enough.error());
-
   station.supervisor = supervisor_settings(configuration);
   if (const Result<void> valid = station.supervisor.validate(); !valid) return tl::unexpected(valid.error());
   if (configuration.gpio.used()) station.panel = panel_settings(configuration);
+  if (configuration.recipes_directory.empty()) return station;
+
+  Result<std::vector<Recipe>> recipes = read_recipes(configuration.recipes_directory);
+  if (!recipes) return tl::unexpected(recipes.error());
+  for (Recipe& recipe : *recipes) {
+    Result<PreparedRecipe> prepared = prepare_recipe(station, std::move(recipe));
+    if (!prepared) return tl::unexpected(prepared.error());
+    station.recipes.push_back(std::move(*prepared));
+  }
   return station;
 }
 

@@ -300,6 +300,9 @@ api::StationStatus Daemon::status() {
   status.repeats = conductor_.progress().repeats;
   status.repeats_auto = conductor_.progress().repeats_auto;
   status.serial = conductor_.serial();
+  status.part_number = conductor_.part_number();
+  for (const bench::PreparedRecipe& known : station_.recipes)
+    status.part_numbers.push_back(known.recipe.part_number);
   status.check = check_number_;
   status.id = conductor_.id();
   status.judging = conductor_.concluding();
@@ -383,6 +386,9 @@ Result<std::string> Daemon::open(const rt::StartTicket& ticket, std::optional<st
 Result<void> Daemon::next(const CheckRequest& request) {
   if (Result<void> valid = validate(request); !valid) return valid;
   const std::lock_guard lock(mutex_);
+  // Whoever scans hears at once what the start button would refuse.
+  if (const auto chosen = bench::choose_check(station_, normalised(request)); !chosen)
+    return tl::unexpected(chosen.error());
   next_ = normalised(request);
   notice_.clear();
   spdlog::info("next is {}", next_->serial);
@@ -407,7 +413,9 @@ Result<api::StartedCheck> Daemon::begin(const CheckRequest& request, const rt::S
     return tl::unexpected(begun.error());
   last_record_.reset();
   clock_.clear();
-  spdlog::info("check {} of {} begins", conductor_.id(), request.serial);
+  const std::string& part = conductor_.part_number();
+  spdlog::info("check {} of {}{} begins", conductor_.id(), request.serial,
+               part.empty() ? "" : ", part number " + part);
   return api::StartedCheck{++check_number_, conductor_.id()};
 }
 
@@ -496,7 +504,8 @@ nlohmann::ordered_json Daemon::reference() {
   nlohmann::ordered_json force = nlohmann::ordered_json::array();
   nlohmann::ordered_json velocity = force;
   nlohmann::ordered_json torque = force;
-  for (const ReferenceRow& row : station_.plan.reference.rows) {
+  const std::lock_guard lock(mutex_);
+  for (const ReferenceRow& row : conductor_.reference().rows) {
     force.push_back(row.force_N);
     velocity.push_back(row.velocity_rad_s);
     torque.push_back(row.torque_Nm);

@@ -109,6 +109,9 @@ CREATE TABLE clampd.queue (
   result_id bigint REFERENCES clampd.results (id), UNIQUE (job_id, check_id));
 CREATE INDEX queue_open ON clampd.queue (id) WHERE state IN ('waiting', 'claimed');
 CREATE INDEX queue_by_check ON clampd.queue (check_id);
+)sql",
+    R"sql(
+ALTER TABLE clampd.checks ADD COLUMN recipe jsonb;
 )sql"};
 
 /// A value of a connection string.

@@ -65,6 +65,8 @@ std::vector<SparkplugNode::Metric> SparkplugNode::metrics_of(const CheckRecord& 
   text("Check/Record", check.id);
   text("Check/Serial", check.serial);
   text("Check/Part number", check.part_number);
+  text("Check/Recipe version", check.recipe ? check.recipe->version : "");
+  text("Check/Recipe SHA-256", check.recipe ? check.recipe->sha256 : "");
   text("Check/Batch", check.batch);
   text("Check/Operator", check.operator_name);
   text("Check/Verdict", std::string(to_string(check.verdict)));

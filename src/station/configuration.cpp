@@ -15,6 +15,7 @@
 #include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/text.hpp"
+#include "src/station/configuration_tables.hpp"
 
 namespace clampd {
 namespace {
@@ -125,15 +126,7 @@ void read_can(TableReader& reader, const toml::table& table, const std::string& 
         table.get("data_bitrate")->source(),
         "can.data_bitrate must not be below can.bitrate; leave it out for a bus without bit-rate switch");
   read_protection(reader, file, error, can.protection);
-  const toml::table* mapping = reader.table("mapping");
-  if (mapping == nullptr) return;
-  TableReader roles(*mapping, "can.mapping", file, error);
-  for (const std::string_view role : kMappingRoles) {
-    std::string name;
-    roles.text(role, name);
-    if (roles.has(role)) can.mapping.emplace_back(std::string(role), std::move(name));
-  }
-  roles.finish();
+  read_can_mapping(reader, file, error, can.mapping);
 }
 
 void read_line(TableReader& panel, std::string_view key, const std::string& chip, const std::string& file,
@@ -364,6 +357,16 @@ void read_master(TableReader& reader, const toml::table& table, const std::strin
                   "master needs both serial and limits: the brake, and the file with its certified values");
 }
 
+/// After [station].
+void read_recipes_section(TableReader& reader, const toml::table& table, const std::string& folder,
+                          StationConfiguration& configuration) {
+  reader.path("directory", configuration.recipes_directory, folder);
+  if (!configuration.recipes_directory.empty() && !configuration.part_number.empty())
+    reader.refuse(table.source(),
+                  "recipes.directory and station.part_number exclude each other: where there are recipes, each "
+                  "check's part number is chosen when it is started; leave out one of the two");
+}
+
 /// What a file leaves open: of the parts that were read, and of what they say together.
 Result<void> complete(StationConfiguration& configuration, std::optional<bool> simulated) {
   const std::string& path = configuration.file;
@@ -393,6 +396,19 @@ Result<void> complete(StationConfiguration& configuration, std::optional<bool> s
 }
 
 }  // namespace
+
+void read_can_mapping(TableReader& can, const std::string& file, std::optional<Error>& error,
+                      std::vector<std::pair<std::string, std::string>>& mapping) {
+  const toml::table* table = can.table("mapping");
+  if (table == nullptr) return;
+  TableReader roles(*table, "can.mapping", file, error);
+  for (const std::string_view role : kMappingRoles) {
+    std::string name;
+    roles.text(role, name);
+    if (roles.has(role)) mapping.emplace_back(std::string(role), std::move(name));
+  }
+  roles.finish();
+}
 
 std::string default_database(bool simulated) {
   namespace fs = std::filesystem;
@@ -463,6 +479,9 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
   });
   section("sheet", [&](TableReader& reader, const toml::table&) {
     reader.path("file", configuration.sheet_file, folder);
+  });
+  section("recipes", [&](TableReader& reader, const toml::table& table) {
+    read_recipes_section(reader, table, folder, configuration);
   });
   section("archive", [&](TableReader& reader, const toml::table&) {
     reader.path("database", configuration.database, folder);

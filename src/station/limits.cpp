@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <sstream>
 #include <utility>
 
 #include <fmt/format.h>
@@ -10,6 +11,7 @@
 #include "clampd/base/table_reader.hpp"
 #include "clampd/record/checksum.hpp"
 #include "clampd/record/file.hpp"
+#include "src/station/configuration_tables.hpp"
 
 namespace clampd {
 namespace {
@@ -75,13 +77,13 @@ void read_effects(TableReader& document, const std::string& path, std::optional<
   of_effects.finish();
 }
 
-}  // namespace
-
-Result<LimitSet> parse_limits(const std::string& text, const std::string& path) {
-  const Result<toml::table> parsed = parse_toml(text, path);
-  if (!parsed) return tl::unexpected(parsed.error());
+/// All that a limits file has, from the document (no `section`) or from a table in another file.
+/// `text`: the same as a limits file, which records keep.
+Result<LimitSet> limits_in(const toml::table& table, const std::string& section, const std::string& text,
+                           const std::string& path) {
+  const std::string within = section.empty() ? "" : section + ".";
   std::optional<Error> error;
-  TableReader document(*parsed, "", path, error);
+  TableReader document(table, section, path, error);
   LimitSet limits;
   limits.file = path;
   limits.sha256 = sha256_hex(text);
@@ -93,14 +95,15 @@ Result<LimitSet> parse_limits(const std::string& text, const std::string& path) 
 
   std::array<bool, kParameterCount> given{};
   for (const bool normalised : {false, true}) {
-    const std::string section = normalised ? "parameters_normalised" : "parameters";
-    const toml::table* table = document.table(section);
-    if (table == nullptr || error) continue;
-    TableReader parameters(*table, section, path, error);
+    const std::string key = normalised ? "parameters_normalised" : "parameters";
+    const toml::table* in_unit = document.table(key);
+    if (in_unit == nullptr || error) continue;
+    const std::string of_parameters = within + key;
+    TableReader parameters(*in_unit, of_parameters, path, error);
     for (std::size_t i = 0; i < kParameterCount; ++i) {
       const toml::table* entry = parameters.table(kParameterTable[i].name);
       if (entry == nullptr || error) continue;
-      const LimitInterval interval = read_interval(*entry, section, kParameterTable[i].name, path, error);
+      const LimitInterval interval = read_interval(*entry, of_parameters, kParameterTable[i].name, path, error);
       if (given[i])
         parameters.refuse(entry->source(), fmt::format("{} has limits twice, in [parameters] and in "
                                                        "[parameters_normalised]",
@@ -121,14 +124,29 @@ Result<LimitSet> parse_limits(const std::string& text, const std::string& path) 
   read_effects(document, path, error, limits.effects);
   document.finish();
   if (error) return tl::unexpected(*error);
+  const std::string where =
+      section.empty() ? path : fmt::format("{}:{}: [{}]", path, table.source().begin.line, section);
   for (std::size_t i = 0; i < kParameterCount; ++i)
     if (!given[i])
       return failure(
-          fmt::format("{}: no limits for {}; add `{} = {{lower = ..., upper = ...}}` to [parameters] or "
-                      "[parameters_normalised]",
-                      path, kParameterTable[i].name, kParameterTable[i].name));
-  if (limits.revision.empty()) return failure(fmt::format("{}: no revision; every record names it", path));
+          fmt::format("{}: no limits for {}; add `{} = {{lower = ..., upper = ...}}` to [{}parameters] or "
+                      "[{}parameters_normalised]",
+                      where, kParameterTable[i].name, kParameterTable[i].name, within, within));
+  if (limits.revision.empty()) return failure(fmt::format("{}: no revision; every record names it", where));
   return limits;
+}
+
+}  // namespace
+
+Result<LimitSet> parse_limits(const std::string& text, const std::string& path) {
+  return parse_toml(text, path).and_then(
+      [&](const toml::table& document) { return limits_in(document, "", text, path); });
+}
+
+Result<LimitSet> inline_limits(const toml::table& table, const std::string& path) {
+  std::ostringstream text;
+  text << toml::toml_formatter{table} << '\n';
+  return limits_in(table, "limits", text.str(), path);
 }
 
 Result<void> check_limits(const LimitSet& limits, const ExtendedParameters& model) {

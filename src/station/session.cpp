@@ -122,6 +122,7 @@ CheckSession::CheckSession(const StationConfiguration& configuration, const Limi
   const CheckRequest asked = normalised(request);
   record_.serial = asked.serial;
   record_.part_number = or_configured(asked.part_number, configuration.part_number);
+  record_.recipe = context.recipe;
   record_.batch = or_configured(asked.batch, configuration.batch);
   record_.station = configuration.name;
   record_.fixture = configuration.fixture;

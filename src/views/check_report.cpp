@@ -369,6 +369,8 @@ void write_traceability(Page& page, const CheckRecord& check) {
   const std::vector<std::pair<std::string, std::string>> rows{
       {"Serial number", check.serial},
       {"Part number", or_dash(check.part_number)},
+      {"Recipe", check.recipe ? fmt::format("version {} ({})", check.recipe->version, check.recipe->file) : "–"},
+      {"Recipe SHA-256", check.recipe ? check.recipe->sha256 : "–"},
       {"Batch", or_dash(check.batch)},
       {"Station", or_dash(check.station)},
       {"Fixture", or_dash(check.fixture)},

@@ -220,6 +220,8 @@ std::string format_check(const CheckRecord& record, bool colour) {
       "  Timing    {} ticks, {} skipped, {} samples lost; late by min {:.0f}, avg {:.0f}, max {:.0f} µs{}\n",
       timing.ticks, timing.skipped, timing.lost_samples, timing.lateness_min_us, timing.lateness_avg_us,
       timing.lateness_max_us, bus_load_text(timing.bus_load));
+  if (record.recipe)
+    text += fmt::format("  Recipe    version {} ({})\n", record.recipe->version, record.recipe->file);
   text += fmt::format("  Limits    revision {} ({})\n", record.limits_revision, record.limits_file);
   text += fmt::format("  Record    {}\n", record.id);
   return text;

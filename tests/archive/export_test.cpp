@@ -267,6 +267,7 @@ TEST(Csv, OneRowACheckWithEveryParameter) {
 
 TEST(Csv, HasTheSheetsCharacteristicsToo) {
   CheckRecord asked = numbered(1);
+  asked.recipe = RecipeRecord{"r.toml", "=3", std::string(64, 'd')};
   asked.sheet = support::make_sheet_record();
   const auto rows = read_csv(format_csv({numbered(0), asked}));
   const auto cell = [&](std::size_t row, const std::string& name) {
@@ -281,6 +282,9 @@ TEST(Csv, HasTheSheetsCharacteristicsToo) {
   EXPECT_EQ(cell(2, "sheet holding verdict"), "");
   EXPECT_EQ(cell(2, "sheet to 27 kN verdict"), "fail");
   EXPECT_EQ(cell(1, "sheet stiffness, 20 kN [N/rad]"), "");
+  EXPECT_EQ(cell(2, "recipe_version"), "'=3") << "no spreadsheet runs it";
+  EXPECT_EQ(cell(2, "recipe_sha256"), std::string(64, 'd'));
+  EXPECT_EQ(cell(1, "recipe_version"), "");
 }
 
 TEST(Csv, NoFormulaBeginsAtASemicolonEither) {

@@ -42,6 +42,10 @@ TEST(CheckJson, HoldsWhatTheContractPromises) {
 TEST(CheckJson, TellsWhatTheSheetSays) {
   CheckRecord record = support::make_check_record();
   EXPECT_TRUE(check_json(record).at("sheet").is_null());
+  EXPECT_TRUE(check_json(record).at("recipe").is_null());
+  record.recipe = RecipeRecord{"recipes/p-17.toml", "3", std::string(64, 'd')};
+  EXPECT_EQ(check_json(record).at("recipe"),
+            (ordered_json{{"file", "recipes/p-17.toml"}, {"version", "3"}, {"sha256", std::string(64, 'd')}}));
   record.sheet = support::make_sheet_record();
   const ordered_json sheet = check_json(record).at("sheet");
   EXPECT_EQ(sheet.at("revision"), "4");

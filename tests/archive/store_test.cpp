@@ -161,7 +161,8 @@ void undo_steps_7_and_8(SQLite::Database& database) {
   database.exec(
       "DROP TABLE chain; DROP TABLE amendments; ALTER TABLE runs DROP COLUMN data; ALTER TABLE checks DROP "
       "COLUMN "
-      "systematic; ALTER TABLE checks DROP COLUMN stopping; ALTER TABLE checks DROP COLUMN sheet; PRAGMA "
+      "systematic; ALTER TABLE checks DROP COLUMN stopping; ALTER TABLE checks DROP COLUMN sheet; ALTER "
+      "TABLE checks DROP COLUMN recipe; PRAGMA "
       "application_id = "
       "0; "
       "PRAGMA user_version = 6");
@@ -191,7 +192,7 @@ TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
     old.exec("ALTER TABLE checks DROP COLUMN cause");
     old.exec("PRAGMA user_version = 2");
   }
-  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 14"));
+  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 16"));
   CheckStore store = open();
   const auto loaded = store.load("last");
   ASSERT_TRUE(loaded) << loaded.error().message;
@@ -247,9 +248,10 @@ TEST_F(Store, SealsWhatAnOlderVersionSaved) {
 
 TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
   const std::string id = make_check_record().id;
-  make_older(1,
-             "ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE checks DROP COLUMN stopping; "
-             "ALTER TABLE checks DROP COLUMN sheet; PRAGMA user_version = 8");
+  make_older(
+      1,
+      "ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE checks DROP COLUMN stopping; "
+      "ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP COLUMN recipe; PRAGMA user_version = 8");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.systematic = SystematicRecord{1e-9, 0.6, 3.5, true};
@@ -270,7 +272,8 @@ TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
 TEST_F(Store, KeepsWhatSchema10SealedVerifiable) {
   const std::string id = make_check_record().id;
   make_older(2,
-             "ALTER TABLE checks DROP COLUMN stopping; ALTER TABLE checks DROP COLUMN sheet; PRAGMA "
+             "ALTER TABLE checks DROP COLUMN stopping; ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE "
+             "checks DROP COLUMN recipe; PRAGMA "
              "user_version = 10");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
@@ -291,7 +294,9 @@ TEST_F(Store, KeepsWhatSchema10SealedVerifiable) {
 
 TEST_F(Store, KeepsWhatSchema12SealedVerifiable) {
   const std::string id = make_check_record().id;
-  make_older(3, "ALTER TABLE checks DROP COLUMN sheet; PRAGMA user_version = 12");
+  make_older(3,
+             "ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP COLUMN recipe; PRAGMA "
+             "user_version = 12");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.sheet = support::make_sheet_record();
@@ -307,6 +312,25 @@ TEST_F(Store, KeepsWhatSchema12SealedVerifiable) {
   }
   EXPECT_EQ(store.verify()->damage.size(), 2U)
       << "what came later is sealed too, and none of it is put into old checks";
+}
+
+TEST_F(Store, KeepsWhatSchema14SealedVerifiable) {
+  const std::string id = make_check_record().id;
+  make_older(4, "ALTER TABLE checks DROP COLUMN recipe; PRAGMA user_version = 14");
+  CheckStore store = open();
+  CheckRecord later = make_check_record("20261121T000000000Z-00000000");
+  later.recipe = RecipeRecord{"recipes/p-17.toml", "3", std::string(64, 'd')};
+  ASSERT_TRUE(store.save(later));
+  EXPECT_EQ(store.load(later.id)->recipe, later.recipe);
+  EXPECT_FALSE(store.load(id)->recipe);
+  EXPECT_THAT(store.verify()->damage, ::testing::IsEmpty());
+  for (const std::string& changed : {id, later.id}) {
+    SQLite::Database database(path, SQLite::OPEN_READWRITE);
+    SQLite::Statement change(database, "UPDATE checks SET recipe = '{}' WHERE id = ?");
+    change.bind(1, changed);
+    change.exec();
+  }
+  EXPECT_EQ(store.verify()->damage.size(), 2U) << "the recipe is sealed too, and none is put into old checks";
 }
 
 TEST_F(Store, NumbersOutboxesOfOldInTimeThatGrowsWithTheirLength) {
@@ -614,7 +638,7 @@ TEST_F(Store, AdoptsNoDatabaseOfAnotherProgram) {
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 14);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 16);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

@@ -59,6 +59,7 @@ TEST_F(Postgresql, KeepsEveryCheckOnceAndInOrder) {
   odd.cause =
       CauseRecord{"ambiguous", {"force-lag"}, "force-reading", {{"force-lag", "pad-damping"}}, "Late."};
   odd.sheet = support::make_sheet_record();
+  odd.recipe = RecipeRecord{"recipes/p-17.toml", "3", std::string(64, 'd')};
   odd.stopped.clear();
   station.save_up_to(3);
   station.start(make_postgresql_channel(settings()));
@@ -82,6 +83,8 @@ TEST_F(Postgresql, KeepsEveryCheckOnceAndInOrder) {
   EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks WHERE cause IS NULL"), "20");
   EXPECT_EQ(server->ask("SELECT sheet->'characteristics'->1->>'value'" + where), "951.25");
   EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks WHERE sheet IS NULL"), "20");
+  EXPECT_EQ(server->ask("SELECT recipe->>'version'" + where), "3");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks WHERE recipe IS NULL"), "20");
 
   // The mark was lost, as by a kill between commit and mark.
   ASSERT_TRUE(
@@ -165,7 +168,7 @@ TEST_F(Postgresql, StationsShareADatabaseAndLaterOnesNeedFewRights) {
   other.start(make_postgresql_channel(settings()));
   ASSERT_TRUE(eventually([&] { return station.pending() == 0 && other.status().connected; }))
       << other.status().error;
-  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "4");
+  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "5");
   other.stop();
   server->column("CREATE ROLE bench LOGIN");
   PostgresqlSettings poor = settings();

@@ -51,12 +51,19 @@ int report(const ReportOptions& options, const CommonOptions& common) {
   Result<std::vector<CheckRecord>> history = store->load_results(of_serial);
   if (!history) return cli::refuse(history.error());
   contents.history = std::move(*history);
-  // Trajectory and guard band are the station's of today: shown only where the check had the same.
+  // Trajectory and guard band are those of today's configuration and recipes: shown only where the check had the same.
   const Result<bench::PreparedStation> station = bench::prepare_station(*configuration);
-  if (station && station->trajectory_sha256 == contents.check.trajectory_sha256)
-    contents.reference = &station->plan.reference;
-  if (station && station->limits.sha256 == contents.check.limits_sha256)
-    contents.guard_band_k = station->limits.guard_band_k;
+  std::vector<const bench::PreparedCheck*> checks;
+  if (station) {
+    checks.push_back(&*station);
+    for (const bench::PreparedRecipe& recipe : station->recipes) checks.push_back(&recipe);
+  }
+  for (const bench::PreparedCheck* of_today : checks) {
+    if (of_today->trajectory_sha256 == contents.check.trajectory_sha256)
+      contents.reference = &of_today->plan.reference;
+    if (of_today->limits.sha256 == contents.check.limits_sha256)
+      contents.guard_band_k = of_today->limits.guard_band_k;
+  }
 
   const Result<std::string> page = check_report(contents);
   if (!page) return cli::refuse(page.error());

@@ -61,6 +61,8 @@ struct StationStatus {
   std::uint32_t repeats = 0;  ///< planned, or allowed at most
   bool repeats_auto = false;  ///< the latter: fewer, if fewer decide every limit
   std::string serial;         ///< of the check in progress or the last one
+  std::string part_number;    ///< of that check; empty: none is configured
+  std::vector<std::string> part_numbers;  ///< that have a recipe; empty: the station has no recipes
   std::string last_verdict;
   std::uint64_t check = 0;      ///< its number since the daemon started; 0: there was none
   std::string id;               ///< of its record, unique; empty: there was none
@@ -99,7 +101,7 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE_WITH_DEFAULT(
     serial, last_verdict, ticks, skipped, lateness_avg_us, lateness_max_us, force_N, velocity_rad_s,
     torque_Nm, interface, link, bus_load, simulated, realtime, next_serial, notice, panel, master, storage,
     clock, check, judging, publishing, cause_searched, id, clamped, clamped_N, open_id, opening, open_result,
-    open_reason, stops, stops_taken, repeats_auto)
+    open_reason, stops, stops_taken, repeats_auto, part_number, part_numbers)
 
 /// Where a check stands; `record` is the finished clampd.check/1 document, null until then, and `table` the
 /// same as a technician reads it.

@@ -40,6 +40,7 @@ struct CheckSummary {
   std::uint32_t repeats = 0;
   double duration_s = 0.0;
   std::string reason;
+  std::string part_number;
   bool is_void = false;  ///< it counts in no statistics
 };
 

@@ -60,7 +60,8 @@ class CheckConductor {
   /// Who hears of the search for a cause and may end it, in this and the next checks.
   void watch_search(CauseSearch search) { search_ = std::move(search); }
 
-  /// Starts a check that was asked for with this ticket. Errors: the request is not valid, the station is not
+  /// Starts a check that was asked for with this ticket, by the recipe that is chosen now. Errors: the request is
+  /// not valid or chooses no recipe (choose_check()), the station is not
   /// IDLE (with its fault), a check is under way, the ticket is void. Should it become void just then, the
   /// check ends as one that never moved.
   Result<void> begin(const CheckRequest& request, const rt::StartTicket& ticket, Instant now);
@@ -92,6 +93,10 @@ class CheckConductor {
   /// Of the check under way or the last one, as its record has it; empty: there was none.
   const std::string& id() const { return id_; }
   const Opening& opening() const { return opening_; }
+  /// What the runs of the check under way or the last one are to follow; before the first, the station's own.
+  const Reference& reference() const { return plan_.reference; }
+  /// Of that check.
+  const std::string& part_number() const { return part_number_; }
 
   /// Whoever else needs the store that the background mode saves to.
   DiskThread& disk() { return disk_; }
@@ -121,7 +126,9 @@ class CheckConductor {
   std::optional<CheckJournal> journal_;
   rt::CheckPlan plan_;
   std::unique_ptr<CheckSession> session_;
+  const PreparedCheck* check_;  ///< of the check under way or the last one, within station_
   std::string serial_;
+  std::string part_number_;
   std::string id_;
   Opening opening_;
   CauseSearch search_;

@@ -51,11 +51,9 @@ class EmbeddedStation {
   void advance_one_period();
 
   PreparedStation station_;
+  const PreparedStation as_configured_;  ///< before use_trajectory()
   CauseSearch search_;
   std::optional<Diagnosis> diagnosis_;
-  const double own_deadline_s_;
-  const double own_repeats_;
-  const double own_rows_;
   can::EmbeddedBus bus_;
   can::CanBrake port_;
   plant::Plant brake_;

@@ -123,6 +123,15 @@ struct StoppingRecord {
   bool operator==(const StoppingRecord&) const = default;
 };
 
+/// Which recipe a brake was checked by; its part number is the record's.
+struct RecipeRecord {
+  std::string file;
+  std::string version;
+  std::string sha256;  ///< of the file's text
+
+  bool operator==(const RecipeRecord&) const = default;
+};
+
 /// Why a record does not count any more.
 struct VoidRecord {
   std::string reason;
@@ -137,6 +146,7 @@ struct CheckRecord {
   std::string id;  ///< unique, sortable by time
   std::string serial;
   std::string part_number;
+  std::optional<RecipeRecord> recipe;  ///< nothing where the station has no recipes
   std::string batch;
   std::string station;
   std::string fixture;

@@ -194,7 +194,7 @@ struct StationConfiguration {
   std::string file;  ///< where it came from; empty: the defaults
   std::string name = "station";
   std::string fixture;
-  std::string part_number;
+  std::string part_number;  ///< for records only
   std::string batch;
   std::string operator_name;
   bool simulated_brake = true;  ///< no result of this station says anything about hardware
@@ -208,6 +208,8 @@ struct StationConfiguration {
   BrakeParameters model;    ///< the nominal brake
   std::string limits_file;  ///< empty: the limits that ship with the station
   std::string sheet_file;   ///< what else is asked of a brake; empty: nothing
+  /// A recipe a part number; empty: every brake is checked as this configuration says.
+  std::string recipes_directory;
   std::string database;     ///< SQLite file of the results
   ControlSettings control;
   GpioSettings gpio;

@@ -57,6 +57,7 @@ struct CheckContext {
   std::int64_t started_utc_ns = 0;
   std::optional<TorqueWhileOff> torque_while_off = {};  ///< before the check, if there was time for it
   std::optional<Sheet> sheet = {};                      ///< what is asked of the brake beside its parameters
+  std::optional<RecipeRecord> recipe = {};              ///< that all of this comes from
 };
 
 /// What the station knows when the check has ended.
