@@ -88,6 +88,8 @@ std::string signals_text(const ParameterStatistics& parameter, const std::vector
 }  // namespace
 
 ordered_json statistics_json(const LineStatistics& statistics) {
+  ordered_json parts = ordered_json::array();
+  for (const LineStatistics& part : statistics.parts) parts.push_back(statistics_json(part));
   ordered_json parameters = ordered_json::array();
   for (const ParameterStatistics& p : statistics.parameters)
     parameters.push_back({{"name", p.name},
@@ -118,7 +120,10 @@ ordered_json statistics_json(const LineStatistics& statistics) {
           {"last", statistics.last},
           {"confidence", 0.95},
           {"serials", statistics.serials},
-          {"parameters", std::move(parameters)}};
+          {"parameters", std::move(parameters)},
+          {"part_number", statistics.part_number},
+          {"other_limits", statistics.other_limits},
+          {"parts", std::move(parts)}};
 }
 
 std::string format_statistics(const LineStatistics& statistics) {
@@ -133,7 +138,20 @@ std::string format_statistics(const LineStatistics& statistics) {
     text += fmt::format("; {} SIMULATED{}", statistics.simulated,
                         statistics.simulated_left_out ? " are left out, since there are real ones" : "");
   if (statistics.voided > 0) text += fmt::format("; {} void are left out", statistics.voided);
-  text += fmt::format("\n{} brakes, the last valid check of each\n\n", statistics.serials.size());
+  if (!statistics.parts.empty()) {
+    text += fmt::format("\n{} part numbers, each by itself (--part-number chooses one)\n",
+                        statistics.parts.size());
+    for (const LineStatistics& part : statistics.parts)
+      text += fmt::format("\nPart number {}\n{}", part.part_number.empty() ? "(none)" : part.part_number,
+                          format_statistics(part));
+    return text;
+  }
+  text += fmt::format("\n{} brakes, the last valid check of each\n", statistics.serials.size());
+  if (statistics.other_limits > 0)
+    text += fmt::format(
+        "{} more brakes are left out: the recipe had other limits for them than for the newest check\n",
+        statistics.other_limits);
+  text += '\n';
   if (statistics.marked > 0)
     text += fmt::format(
         "The model does not explain all of the motion in {} of these checks: what it lacks is part of the "

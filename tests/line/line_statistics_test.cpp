@@ -45,6 +45,44 @@ TEST(LineStatistics, TakeTheLastValidCheckOfEachBrake) {
   EXPECT_EQ(statistics_json(found).at("parameters").at(0).at("ppk").at("value"), 5.0 / 3.0);
 }
 
+CheckRecord of_recipe(int minute, const std::string& part, const std::string& version, double k2,
+                      double upper) {
+  CheckRecord record = check(minute, part + std::to_string(minute), k2);
+  record.part_number = part;
+  record.recipe = RecipeRecord{part + ".toml", version, version};
+  record.parameters[0].upper = upper;
+  return record;
+}
+
+TEST(LineStatistics, NeverMixPartNumbers) {
+  const LineStatistics found =
+      line_statistics({of_recipe(5, "B", "1", 52.0, 60.0), of_recipe(4, "A", "1", 36.0, 40.0),
+                       of_recipe(3, "B", "1", 50.0, 60.0), of_recipe(2, "A", "1", 34.0, 40.0)},
+                      "");
+  EXPECT_EQ(found.checks, 4u);
+  EXPECT_THAT(found.parameters, IsEmpty());
+  ASSERT_EQ(found.parts.size(), 2u);
+  EXPECT_EQ(found.parts[0].part_number, "A");
+  EXPECT_THAT(found.parts[0].parameters.at(0).values, ElementsAre(34.0, 36.0));
+  EXPECT_THAT(found.parts[1].parameters.at(0).values, ElementsAre(50.0, 52.0));
+  EXPECT_EQ(found.parts[1].parameters.at(0).upper, 60.0);
+  EXPECT_THAT(format_statistics(found), HasSubstr("Part number B\n2 checks"));
+  EXPECT_EQ(statistics_json(found).at("parts").at(1).at("part_number"), "B");
+}
+
+TEST(LineStatistics, LeaveOutWhatARecipeJudgedByOtherLimits) {
+  const LineStatistics found =
+      line_statistics({of_recipe(5, "A", "3", 36.0, 41.0), of_recipe(4, "A", "2", 35.0, 41.0),
+                       of_recipe(3, "A", "1", 34.0, 40.0)},
+                      "");
+  EXPECT_EQ(found.part_number, "A");
+  EXPECT_THAT(found.parameters.at(0).values, ElementsAre(35.0, 36.0))
+      << "another version with the same limits counts";
+  EXPECT_FALSE(found.parameters[0].limits_changed);
+  EXPECT_EQ(found.other_limits, 1u);
+  EXPECT_THAT(format_statistics(found), HasSubstr("1 more brakes are left out"));
+}
+
 TEST(LineStatistics, NameTheRuleAndTheBrake) {
   std::vector<CheckRecord> checks;
   for (int i = 0; i < 20; ++i)

@@ -319,7 +319,8 @@ void add_request_options(CLI::App& command, CheckRequest& request) {
                                                 : "must be a whole number from 1 to 200, or auto: " + given;
       });
   command.add_option("--operator", request.operator_name, "who checks");
-  command.add_option("--part-number", request.part_number, "part number of the brake");
+  command.add_option("--part-number", request.part_number, "part number of the brake: chooses its recipe where the station has recipes "
+                     "(default: by the serial number)");
   command.add_option("--batch", request.batch, "batch of the brake");
 }
 

@@ -92,7 +92,7 @@ $('view-history').addEventListener('keydown', (event) => {
 
 function factsOf(check) {
   return {
-    started: utcText(check.started), bench: `${shortNumber(check.duration_s, 3)} s, ${check.repeats} repeats${check.stopping ? `: ${check.stopping.reason}` : ''}`, operator: check.operator, 'part number': check.part_number,
+    started: utcText(check.started), bench: `${shortNumber(check.duration_s, 3)} s, ${check.repeats} repeats${check.stopping ? `: ${check.stopping.reason}` : ''}`, operator: check.operator, 'part number': check.part_number, recipe: check.recipe ? `version ${check.recipe.version}, SHA-256 ${check.recipe.sha256}` : '',
     batch: check.batch, station: check.station, fixture: check.fixture, limits: [check.limits.file, check.limits.revision].filter(Boolean).join(' '),
     tracking: `${shortNumber(check.tracking_rms_N, 3)} N rms`, timing: `${check.timing.skipped} skipped, ${shortNumber(check.timing.lateness_us.max, 3)} µs late at most`,
     software: check.software_version, record: check.record,

@@ -87,7 +87,7 @@ function showVerdict() {
   if (moving()) showMotion();
   else if (status.judging) showJudging();
   else if (record) {
-    show(record.verdict, record.verdict, record.serial, reasonText(record.reason),
+    show(record.verdict, record.verdict, record.recipe ? `${record.serial}, part ${record.part_number}` : record.serial, reasonText(record.reason),
          { cause: causeText(record.cause), action: actionText(record), marginal: record.marginal });
   } else if (status.last_verdict !== '') show('none', '…', status.serial, 'the verdict is being fetched');
   else if (status.state === 'FAULT') show('ERROR', 'FAULT', '', 'see below');
@@ -141,6 +141,7 @@ function showStatus() {
   $('state').className = `pill ${kStatePills[status.state] ?? 'warn'}`;
   $('simulated').hidden = !status.simulated;
   showInterlocks();
+  showPartNumbers();
   setText($('link'), `${status.interface} ${status.link} · ${fixed(status.force_N / 1000, 1)} kN · ${fixed(status.velocity_rad_s, 0)} rad/s · ${fixed(status.torque_Nm, 2)} N m`);
   showNotices([status.storage, status.clock, status.notice, status.master, ...status.publishing.map(publishingTrouble)]);
   showClamped();
@@ -149,6 +150,19 @@ function showStatus() {
   $('start').setAttribute('aria-disabled', status.state !== 'IDLE' || busy());
   showWhatWasDone();
   showVerdict();
+}
+
+const kBySerial = 'by serial number';
+
+/** Where the station has recipes, whoever starts may say which part it is. */
+function showPartNumbers() {
+  const known = status.part_numbers ?? [];
+  $('part-label').hidden = known.length === 0;
+  const shown = [...$('part').options].slice(1).map((option) => option.value);
+  if (shown.length === known.length && shown.every((part, i) => part === known[i])) return;
+  const chosen = $('part').value;
+  $('part').replaceChildren(...['', ...known].map((part) => element('option', { value: part, textContent: part || kBySerial })));
+  $('part').value = known.includes(chosen) ? chosen : '';
 }
 
 /** A command is done when the station's state says so, not when it was taken. */
@@ -269,6 +283,8 @@ async function follow() {
       seen = '';
       await checkSession();
     }
+    // Each part number may have a trajectory of its own.
+    if (!wasSilent && answer.id !== status?.id && answer.part_numbers?.length > 0) reference = await ask('/v1/reference');
     status = answer;
     silentSince = 0;
     await followRecord();
@@ -368,7 +384,7 @@ async function start(serial) {
   setField('');
   showStatus();
   try {
-    await ask(`/v1/checks${stopsSeen()}`, { body: { serial, operator_name: $('operator').value.trim() } });
+    await ask(`/v1/checks${stopsSeen()}`, { body: { serial, operator_name: $('operator').value.trim(), ...($('part').value && { part_number: $('part').value }) } });
     pending.granted = true;
   } catch (error) {
     pending = null;

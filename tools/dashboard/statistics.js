@@ -18,7 +18,22 @@ export async function showStatistics() {
     setText($('statistics-text'), '');
     return showNothing(error.message);
   }
+  showParts(statistics);
+}
+
+/** Brakes of several part numbers are never in one chart: one of them is chosen. */
+function showParts(found) {
+  statistics = found;
   setText($('statistics-text'), headline());
+  if (found.parts?.length > 0) {
+    showNothing('These are brakes of several part numbers, which no chart mixes. Choose one:');
+    $('capability').append(...found.parts.map((part) => {
+      const button = element('button', { type: 'button', textContent: `${part.part_number || 'no part number'}: ${part.checks} checks` });
+      button.addEventListener('click', () => showParts(part));
+      return button;
+    }));
+    return;
+  }
   if (statistics.parameters.length === 0) return showNothing('Capability and charts need at least two brakes with a valid check.');
   showTable();
   drawStatistics();
@@ -35,7 +50,9 @@ function headline() {
   if (checks === 0) return 'no checks';
   const share = passed + failed > 0 ? `; yield ${(100 * passed / (passed + failed)).toFixed(1)} %` : '';
   const kind = statistics.simulated_left_out ? `; ${simulated} of simulated brakes left out` : simulated > 0 ? `; ${simulated} of them on SIMULATED brakes` : '';
-  return `${checks} checks, ${utcText(first)} to ${utcText(last)}: ${passed} passed, ${failed} failed, ${invalid} invalid${share}${kind}`;
+  const left = statistics.other_limits > 0 ? `; ${statistics.other_limits} brakes that a recipe judged by other limits left out` : '';
+  const part = statistics.part_number ? `part number ${statistics.part_number}: ` : '';
+  return `${part}${checks} checks, ${utcText(first)} to ${utcText(last)}: ${passed} passed, ${failed} failed, ${invalid} invalid${share}${kind}${left}`;
 }
 
 const kHeadings = ['parameter', 'brakes', 'mean', 'sd', 'Cp', 'Cpk', 'Ppk', 'signals'];

@@ -23,8 +23,12 @@ struct ParameterStatistics {
 };
 
 /// What checks say about the line. Capability and charts take the last valid check (PASS or FAIL) of each
-/// serial number, so that a brake counts once however often it was checked.
+/// serial number, so that a brake counts once however often it was checked. Brakes of several part numbers are never in
+/// one of them: each part then has statistics of its own. Where a part has recipes, brakes that were judged by other
+/// limits than those of the newest check are left out.
 struct LineStatistics {
+  std::string part_number;  ///< of all these checks; empty: none was given, or there are several
+  std::vector<LineStatistics> parts;  ///< where there are several part numbers; then `parameters` is empty
   std::size_t checks = 0;
   std::size_t passed = 0;
   std::size_t failed = 0;
@@ -32,6 +36,7 @@ struct LineStatistics {
   std::size_t marked = 0;           ///< passed or failed, but the model does not explain all of the motion
   std::size_t simulated = 0;        ///< checks of simulated brakes
   bool simulated_left_out = false;  ///< since there are real ones too, and only those are counted then
+  std::size_t other_limits = 0;     ///< brakes left out, since a recipe had other limits for them
   std::size_t voided = 0;           ///< void checks, which are counted nowhere else
   std::string first;                ///< start of the first check, RFC 3339
   std::string last;
