@@ -10,7 +10,8 @@ namespace clampd::faults {
 
 using support::eventually;
 
-Station::Station() : port_(support::free_port()), client_("127.0.0.1", port_, folder_.path("token")) {
+Station::Station(const std::string& more)
+    : port_(support::free_port()), client_("127.0.0.1", port_, folder_.path("token")) {
   configuration_ = folder_.write("station.toml", fmt::format(R"([check]
 repeats = 1
 tare_s = 0.05
@@ -22,8 +23,8 @@ token_file = "token"
 [mqtt]
 host = "127.0.0.1"
 port = {}
-)",
-                                                             port_, support::free_port()));
+{})",
+                                                             port_, support::free_port(), more));
 }
 
 api::StationStatus Station::start() {

@@ -13,7 +13,8 @@ namespace clampd::faults {
 /// there.
 class Station {
  public:
-  Station();
+  /// `more`: what else its configuration says.
+  explicit Station(const std::string& more = "");
 
   /// Starts the program and waits until it answers: its first status.
   api::StationStatus start();
