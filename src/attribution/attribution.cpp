@@ -12,8 +12,8 @@ namespace {
 /// More than so many findings in one parameter mean that the model of the line does not hold.
 constexpr std::size_t kMostFindings = 20;
 
-/// Minus twice the logarithm of a likelihood ratio that is no evidence against zero variance at 5 % (Self and Liang 1987: half of
-/// chi-square's probability).
+/// Minus twice the logarithm of a likelihood ratio that is no evidence against zero variance at 5 % (Self and
+/// Liang 1987: half of chi-square's probability).
 constexpr double kLikelihoodRise = 2.71;
 
 struct Candidate {
@@ -29,11 +29,13 @@ class Candidates {
     for (int station = 0; station < layout.stations; ++station) {
       if (model.components().wander) {
         for (int period = 1; period < layout.periods; ++period)
-          add(model, {Finding::Kind::StationStep, station, period}, [&](int at) { return at >= period ? 1.0 : 0.0; });
+          add(model, {Finding::Kind::StationStep, station, period},
+              [&](int at) { return at >= period ? 1.0 : 0.0; });
         add(model, {Finding::Kind::StationDrift, station, 0},
             [&](int at) { return static_cast<double>(at) / (layout.periods - 1); });
       }
-      if (layout.stations >= 4) add(model, {Finding::Kind::StationApart, station, 0}, [](int) { return 1.0; });
+      if (layout.stations >= 4)
+        add(model, {Finding::Kind::StationApart, station, 0}, [](int) { return 1.0; });
     }
   }
   const std::vector<Candidate>& all() const { return all_; }
@@ -70,9 +72,9 @@ double two_sided(double z) {
   return 2.0 * statistics::normal_upper_tail(std::abs(z));
 }
 
-/// Of one of `count` effects of variance `spread` that differs by `size`, of variance `variance` (spread and noise). Its own size
-/// went into the spread: it is taken out again (the externally studentised residual), and Student's t has the degrees of freedom
-/// of what is left.
+/// Of one of `count` effects of variance `spread` that differs by `size`, of variance `variance` (spread and
+/// noise). Its own size went into the spread: it is taken out again (the externally studentised residual),
+/// and Student's t has the degrees of freedom of what is left.
 double two_sided_studentised(double size, double variance, double spread, int count) {
   const double degrees = count - 2.0;
   const double noise = std::max(0.0, variance - spread);
@@ -81,7 +83,8 @@ double two_sided_studentised(double size, double variance, double spread, int co
   return statistics::fisher_f_p_value(size * size / (noise + without), 1.0, degrees);
 }
 
-Finding strongest(const CrossedEffects& model, const Candidates& candidates, int stations, std::size_t& which) {
+Finding strongest(const CrossedEffects& model, const Candidates& candidates, int stations,
+                  std::size_t& which) {
   const std::vector<Evidence> evidence = model.evidence(candidates.changes());
   Finding best;
   double best_z = 0.0;
@@ -89,9 +92,10 @@ Finding strongest(const CrossedEffects& model, const Candidates& candidates, int
     const Candidate& candidate = candidates.all()[i];
     const double z = evidence[i].z();
     const double spread = model.deviations().station * model.deviations().station;
-    const double p = candidate.kind == Finding::Kind::StationApart
-                         ? two_sided_studentised(evidence[i].size, evidence[i].sd * evidence[i].sd, spread, stations)
-                         : two_sided(z);
+    const double p =
+        candidate.kind == Finding::Kind::StationApart
+            ? two_sided_studentised(evidence[i].size, evidence[i].sd * evidence[i].sd, spread, stations)
+            : two_sided(z);
     // Probabilities below the smallest number compare by their statistic.
     if (p > best.p || (p == best.p && std::abs(z) <= best_z)) continue;
     best = {candidate.kind, candidate.station, candidate.period, evidence[i].size, evidence[i].sd, p};
@@ -101,16 +105,19 @@ Finding strongest(const CrossedEffects& model, const Candidates& candidates, int
   return best;
 }
 
-void find_batches(const Levels& levels, const Deviations& deviations, double level, std::vector<Finding>& findings) {
+void find_batches(const Levels& levels, const Deviations& deviations, double level,
+                  std::vector<Finding>& findings) {
   const int count = static_cast<int>(levels.batch.size());
   for (int batch = 0; batch < count; ++batch) {
-    // A prediction is the observed difference, drawn to zero by the share of the batches' variance that it tells of.
+    // A prediction is the observed difference, drawn to zero by the share of the batches' variance that it
+    // tells of.
     const double spread = deviations.batch * deviations.batch;
     const double told = 1.0 - levels.batch_variance[batch] / spread;
     if (!(told > 0.01)) continue;
     const double p = two_sided_studentised(levels.batch[batch] / told, spread / told, spread, count);
     if (p < level)
-      findings.push_back({Finding::Kind::BatchApart, batch, 0, levels.batch[batch], std::sqrt(levels.batch_variance[batch]), p});
+      findings.push_back({Finding::Kind::BatchApart, batch, 0, levels.batch[batch],
+                          std::sqrt(levels.batch_variance[batch]), p});
   }
 }
 
@@ -133,8 +140,8 @@ bool batches_stay(const Layout& layout) {
   return 2 * std::count(at_several.begin(), at_several.end(), true) < layout.batches;
 }
 
-/// Where a spread is seen that batches explain as well as stations, no level of a station is known, whatever the most likely
-/// share of the two is.
+/// Where a spread is seen that batches explain as well as stations, no level of a station is known, whatever
+/// the most likely share of the two is.
 void note_what_cannot_be_told(const Layout& layout, CrossedEffects& model, ParameterAttribution& result) {
   if (!model.components().station || !model.components().batch || !batches_stay(layout)) return;
   const double least = model.deviance(result.deviations);
@@ -146,13 +153,16 @@ void note_what_cannot_be_told(const Layout& layout, CrossedEffects& model, Param
   const auto [without_stations, batches] = rise_without({&Components::station});
   const auto [without_batches, stations] = rise_without({&Components::batch});
   model.set_deviations(result.deviations);
-  if (without_both < kLikelihoodRise || without_stations > kLikelihoodRise || without_batches > kLikelihoodRise) return;
+  if (without_both < kLikelihoodRise || without_stations > kLikelihoodRise ||
+      without_batches > kLikelihoodRise)
+    return;
   result.confounded = true;
   result.deviations.station = stations.station;
   for (StationLevel& level : result.stations) level.reliability = 0.0;
 }
 
-ParameterAttribution attribute_parameter(const Layout& layout, const ParameterReadings& readings, double false_alarms) {
+ParameterAttribution attribute_parameter(const Layout& layout, const ParameterReadings& readings,
+                                         double false_alarms) {
   ParameterAttribution result;
   result.name = readings.name;
   result.unit = readings.unit;
@@ -161,7 +171,8 @@ ParameterAttribution attribute_parameter(const Layout& layout, const ParameterRe
   result.components = model.components();
   result.converged = model.fit();
   const Candidates candidates(model, layout);
-  const auto tests = static_cast<double>(candidates.all().size()) + (model.components().batch ? layout.batches : 0);
+  const auto tests =
+      static_cast<double>(candidates.all().size()) + (model.components().batch ? layout.batches : 0);
   const double level = false_alarms / std::max(1.0, tests);
   while (result.findings.size() < kMostFindings) {
     std::size_t which = 0;
@@ -174,19 +185,23 @@ ParameterAttribution attribute_parameter(const Layout& layout, const ParameterRe
   result.deviations = model.deviations();
   result.mean = model.mean();
   const Levels levels = model.levels();
-  if (model.components().batch && levels.batch.size() > 0) find_batches(levels, result.deviations, level, result.findings);
+  if (model.components().batch && levels.batch.size() > 0)
+    find_batches(levels, result.deviations, level, result.findings);
   double spread = result.deviations.station * result.deviations.station;
   for (Eigen::Index s = 0; s < levels.station.size(); ++s)
-    result.stations.push_back({levels.station[s], std::sqrt(levels.station_variance[s]),
-                               spread > 0.0 ? std::clamp(1.0 - levels.station_variance[s] / spread, 0.0, 1.0) : 1.0});
+    result.stations.push_back(
+        {levels.station[s], std::sqrt(levels.station_variance[s]),
+         spread > 0.0 ? std::clamp(1.0 - levels.station_variance[s] / spread, 0.0, 1.0) : 1.0});
   note_what_cannot_be_told(layout, model, result);
-  const bool known = std::all_of(result.stations.begin(), result.stations.end(),
-                                 [](const StationLevel& station) { return station.reliability >= kReliable; });
+  const bool known =
+      std::all_of(result.stations.begin(), result.stations.end(),
+                  [](const StationLevel& station) { return station.reliability >= kReliable; });
   spread = result.deviations.station * result.deviations.station;
   // The difference of two stations is known to half of their spread.
   if (!known && spread > 0.0)
     result.brakes_needed = static_cast<int>(std::ceil(
-        8.0 * (result.deviations.repeat * result.deviations.repeat + mean_square(readings.deviations)) / spread));
+        8.0 * (result.deviations.repeat * result.deviations.repeat + mean_square(readings.deviations)) /
+        spread));
   return result;
 }
 
@@ -195,7 +210,8 @@ ParameterAttribution attribute_parameter(const Layout& layout, const ParameterRe
 LineAttribution attribute(const LineTable& table, const AttributionOptions& options) {
   LineAttribution result;
   result.parameters.resize(table.parameters.size());
-  const double each = options.false_alarms / static_cast<double>(std::max<std::size_t>(1, table.parameters.size()));
+  const double each =
+      options.false_alarms / static_cast<double>(std::max<std::size_t>(1, table.parameters.size()));
   for_each_index(table.parameters.size(), ThreadBudget(threads_or_all(options.threads)), [&](std::size_t i) {
     result.parameters[i] = attribute_parameter(table.layout, table.parameters[i], each);
   });

@@ -85,16 +85,19 @@ struct BatchSums {
 
 }  // namespace
 
-/// The checks as the cells see them, with brakes and batches eliminated: of a model y = cells + eliminated + noise, with the
-/// eliminated and the noise of covariance V, and A the incidence of the cells.
+/// The checks as the cells see them, with brakes and batches eliminated: of a model y = cells + eliminated +
+/// noise, with the eliminated and the noise of covariance V, and A the incidence of the cells.
 struct CrossedEffects::Reduced {
   explicit Reduced(int cells)
-      : information(Eigen::MatrixXd::Zero(cells, cells)), right(Eigen::VectorXd::Zero(cells)), batch(cells), brake(cells) {}
+      : information(Eigen::MatrixXd::Zero(cells, cells)),
+        right(Eigen::VectorXd::Zero(cells)),
+        batch(cells),
+        brake(cells) {}
 
-  Eigen::MatrixXd information;  ///< A^T V^-1 A
-  Eigen::VectorXd right;        ///< A^T V^-1 y
-  double squares = 0.0;         ///< y^T V^-1 y
-  double log_determinant = 0.0; ///< ln det V
+  Eigen::MatrixXd information;   ///< A^T V^-1 A
+  Eigen::VectorXd right;         ///< A^T V^-1 y
+  double squares = 0.0;          ///< y^T V^-1 y
+  double log_determinant = 0.0;  ///< ln det V
   std::vector<BatchSums> batches;
 
   SumOfLogs logs;
@@ -104,11 +107,12 @@ struct CrossedEffects::Reduced {
 
 /// Henderson's equations for what is not eliminated.
 struct CrossedEffects::Solution {
-  Eigen::MatrixXd design;     ///< cells × unknowns: mean, changes, stations, fixtures, periods, cells
-  Eigen::MatrixXd weighted;   ///< A^T V^-1 A design
-  std::array<std::pair<Eigen::Index, Eigen::Index>, kMembers.size()> group{};  ///< first unknown and how many, of each deviation
+  Eigen::MatrixXd design;    ///< cells × unknowns: mean, changes, stations, fixtures, periods, cells
+  Eigen::MatrixXd weighted;  ///< A^T V^-1 A design
+  std::array<std::pair<Eigen::Index, Eigen::Index>, kMembers.size()>
+      group{};  ///< first unknown and how many, of each deviation
   statistics::CholeskyFactor factor;
-  Eigen::VectorXd half;       ///< L^-1 right
+  Eigen::VectorXd half;  ///< L^-1 right
   Eigen::VectorXd unknowns;
   double deviance = kNone;
 };
@@ -156,10 +160,12 @@ void CrossedEffects::sort_checks(const std::vector<double>& readings, const std:
   };
   std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return key(a) < key(b); });
   for (const std::size_t i : order) {
-    const bool same_brake = !reading_.empty() && layout_.brake[i] == layout_.brake[order[reading_.size() - 1]];
+    const bool same_brake =
+        !reading_.empty() && layout_.brake[i] == layout_.brake[order[reading_.size() - 1]];
     if (!same_brake) {
       const std::int32_t batch = key(i).first;
-      if (batch_.empty() || batch_.back().number != batch) batch_.push_back({brake_.size(), brake_.size(), batch});
+      if (batch_.empty() || batch_.back().number != batch)
+        batch_.push_back({brake_.size(), brake_.size(), batch});
       brake_.push_back({reading_.size(), reading_.size()});
       ++batch_.back().last_brake;
     } else {
@@ -187,7 +193,8 @@ void CrossedEffects::find_components() {
   components_.wander = layout_.periods >= 3;
 }
 
-void CrossedEffects::add_repeated_brake(std::size_t number, const Deviations& deviations, Reduced& reduced) const {
+void CrossedEffects::add_repeated_brake(std::size_t number, const Deviations& deviations,
+                                        Reduced& reduced) const {
   const Brake& brake = brake_[number];
   const double repeat = square(deviations.repeat);
   double weight = 0.0, reading = 0.0, squares = 0.0;
@@ -211,7 +218,8 @@ void CrossedEffects::add_repeated_brake(std::size_t number, const Deviations& de
     const double g = reduced.brake[a];
     reduced.right[a] -= c * g * reading;
     reduced.batch.add(a, left * g);
-    for (const std::int32_t b : reduced.brake.touched()) reduced.information(a, b) -= c * g * reduced.brake[b];
+    for (const std::int32_t b : reduced.brake.touched())
+      reduced.information(a, b) -= c * g * reduced.brake[b];
   }
   reduced.brake.clear();
 }
@@ -246,7 +254,8 @@ CrossedEffects::Reduced CrossedEffects::reduce(const Deviations& deviations, boo
       for (const std::int32_t a : reduced.batch.touched()) {
         const double scaled = d * reduced.batch[a];
         reduced.right[a] -= scaled * reduced.batch_reading;
-        for (const std::int32_t b : reduced.batch.touched()) reduced.information(a, b) -= scaled * reduced.batch[b];
+        for (const std::int32_t b : reduced.batch.touched())
+          reduced.information(a, b) -= scaled * reduced.batch[b];
       }
       if (keep_batches) {
         BatchSums& sums = reduced.batches.emplace_back();
@@ -278,7 +287,8 @@ CrossedEffects::Solution CrossedEffects::solve(const Reduced& reduced, const Dev
   }
   Eigen::MatrixXd design = Eigen::MatrixXd::Zero(cells(), unknowns);
   design.col(0).setOnes();
-  for (std::size_t c = 0; c < changes_.size(); ++c) design.col(static_cast<Eigen::Index>(1 + c)) = changes_[c].shape;
+  for (std::size_t c = 0; c < changes_.size(); ++c)
+    design.col(static_cast<Eigen::Index>(1 + c)) = changes_[c].shape;
   for (int cell = 0; cell < cells(); ++cell) {
     if (components_.station) design(cell, group[3].first + station_of(cell)) = 1.0;
     if (components_.fixture) design(cell, group[4].first + fixture_of(cell)) = 1.0;
@@ -300,7 +310,8 @@ CrossedEffects::Solution CrossedEffects::solve(const Reduced& reduced, const Dev
     equations.diagonal().segment(group[g].first, group[g].second).array() += 1.0 / variance;
     logs += static_cast<double>(group[g].second) * std::log(variance);
   }
-  Solution solution{std::move(design), std::move(weighted), group, statistics::CholeskyFactor(equations), {}, {}};
+  Solution solution{
+      std::move(design), std::move(weighted), group, statistics::CholeskyFactor(equations), {}, {}};
   if (!solution.factor.is_positive()) return solution;
   const Eigen::VectorXd right = solution.design.transpose() * reduced.right;
   solution.half = solution.factor.solve_lower(right);
@@ -314,7 +325,8 @@ namespace {
 
 Deviations scaled(const Deviations& deviations, double factor) {
   Deviations result;
-  for (double Deviations::*const member : kMembers) result.*member = std::max(deviations.*member * factor, kSmallest);
+  for (double Deviations::*const member : kMembers)
+    result.*member = std::max(deviations.*member * factor, kSmallest);
   return result;
 }
 
@@ -330,15 +342,16 @@ double CrossedEffects::deviance(const Deviations& deviations, std::vector<double
   const Solution solution = solve(reduce(standard, false), standard);
   slopes.assign(kMembers.size(), 0.0);
   if (!std::isfinite(solution.deviance)) return kNone;
-  // d/d ln s of the deviance for a group of n random effects u of deviation s is 2 (n - (tr C + u^T u) / s^2), C their part of
-  // the inverse of Henderson's equations (Harville 1977).
+  // d/d ln s of the deviance for a group of n random effects u of deviation s is 2 (n - (tr C + u^T u) /
+  // s^2), C their part of the inverse of Henderson's equations (Harville 1977).
   const Eigen::Index size = solution.unknowns.size();
   const Eigen::VectorXd inverse =
       solution.factor.solve_lower(Eigen::MatrixXd::Identity(size, size)).colwise().squaredNorm();
   for (std::size_t g = kEliminated; g < kMembers.size(); ++g) {
     const auto [first, count] = solution.group[g];
     if (count == 0 || standard.*kMembers[g] <= kSmallest) continue;
-    const double sum = inverse.segment(first, count).sum() + solution.unknowns.segment(first, count).squaredNorm();
+    const double sum =
+        inverse.segment(first, count).sum() + solution.unknowns.segment(first, count).squaredNorm();
     slopes[g] = 2.0 * (static_cast<double>(count) - sum / square(standard.*kMembers[g]));
   }
   const std::array<bool, kEliminated> there{components_.repeat, true, components_.batch};
@@ -357,17 +370,19 @@ double CrossedEffects::deviance(const Deviations& deviations, std::vector<double
 
 namespace {
 
-/// The deviance over the logarithms of the deviations that the data can have, each times the root of the number of effects
-/// behind it: then all directions are about equally steep.
+/// The deviance over the logarithms of the deviations that the data can have, each times the root of the
+/// number of effects behind it: then all directions are about equally steep.
 class Likelihood : public ceres::FirstOrderFunction {
  public:
-  Likelihood(const CrossedEffects& model, std::vector<std::size_t> members, std::vector<double> steepness, double scale)
+  Likelihood(const CrossedEffects& model, std::vector<std::size_t> members, std::vector<double> steepness,
+             double scale)
       : model_(model), members_(std::move(members)), steepness_(std::move(steepness)), scale_(scale) {}
 
   Deviations at(const double* unknowns) const {
     Deviations deviations;
     for (std::size_t i = 0; i < members_.size(); ++i)
-      deviations.*kMembers[members_[i]] = scale_ * std::exp(std::clamp(unknowns[i] / steepness_[i], -12.0, 6.0));
+      deviations.*kMembers[members_[i]] =
+          scale_ * std::exp(std::clamp(unknowns[i] / steepness_[i], -12.0, 6.0));
     return deviations;
   }
 
@@ -445,7 +460,8 @@ std::vector<Evidence> CrossedEffects::evidence(const std::vector<Change>& candid
   const Solution solution = solve(reduced, standard);
   if (!std::isfinite(solution.deviance) || candidates.empty()) return found;
   Eigen::MatrixXd shapes(cells(), static_cast<Eigen::Index>(candidates.size()));
-  for (std::size_t i = 0; i < candidates.size(); ++i) shapes.col(static_cast<Eigen::Index>(i)) = candidates[i].shape;
+  for (std::size_t i = 0; i < candidates.size(); ++i)
+    shapes.col(static_cast<Eigen::Index>(i)) = candidates[i].shape;
   const Eigen::MatrixXd seen = reduced.information * shapes;
   const Eigen::MatrixXd half = solution.factor.solve_lower(solution.design.transpose() * seen);
   for (std::size_t i = 0; i < candidates.size(); ++i) {

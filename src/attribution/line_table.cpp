@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstring>
 #include <fstream>
+#include <optional>
 #include <string_view>
 #include <unordered_map>
 #include <unordered_set>
@@ -54,21 +55,24 @@ bool read_time(std::string_view text, double& seconds) {
   int year = 0, month = 0, day = 0, hour = 0, minute = 0;
   double second = 0.0;
   if (!text.empty() && text.back() == 'Z') text.remove_suffix(1);
-  if (text.size() < 19 || text[4] != '-' || text[7] != '-' || (text[10] != 'T' && text[10] != ' ') || text[13] != ':' ||
-      text[16] != ':')
+  if (text.size() < 19 || text[4] != '-' || text[7] != '-' || (text[10] != 'T' && text[10] != ' ') ||
+      text[13] != ':' || text[16] != ':')
     return false;
-  if (!read_number(text.substr(0, 4), year) || !read_number(text.substr(5, 2), month) || !read_number(text.substr(8, 2), day) ||
-      !read_number(text.substr(11, 2), hour) || !read_number(text.substr(14, 2), minute) || !read_number(text.substr(17), second))
+  if (!read_number(text.substr(0, 4), year) || !read_number(text.substr(5, 2), month) ||
+      !read_number(text.substr(8, 2), day) || !read_number(text.substr(11, 2), hour) ||
+      !read_number(text.substr(14, 2), minute) || !read_number(text.substr(17), second))
     return false;
-  const std::chrono::year_month_day date{std::chrono::year(year), std::chrono::month(static_cast<unsigned>(month)),
+  const std::chrono::year_month_day date{std::chrono::year(year),
+                                         std::chrono::month(static_cast<unsigned>(month)),
                                          std::chrono::day(static_cast<unsigned>(day))};
   if (!date.ok() || hour > 23 || minute > 59 || second >= 61.0) return false;
-  seconds = 86400.0 * std::chrono::sys_days(date).time_since_epoch().count() + 3600.0 * hour + 60.0 * minute + second;
+  seconds = 86400.0 * std::chrono::sys_days(date).time_since_epoch().count() + 3600.0 * hour + 60.0 * minute +
+            second;
   return true;
 }
 
-/// A line of RFC 4180 in cells. Quoted cells lose their quotes; doubled quotes in them stay doubled, since no cell that is
-/// compared has any.
+/// A line of RFC 4180 in cells. Quoted cells lose their quotes; doubled quotes in them stay doubled, since no
+/// cell that is compared has any.
 void split(std::string_view line, std::vector<std::string_view>& cells) {
   cells.clear();
   if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
@@ -109,8 +113,9 @@ bool next_line(std::istream& input, std::string& line, std::size_t& number) {
 constexpr std::size_t kAbsent = static_cast<std::size_t>(-1);
 
 struct Columns {
-  std::size_t record = kAbsent, serial = kAbsent, batch = kAbsent, station = kAbsent, fixture = kAbsent, started = kAbsent,
-              verdict = kAbsent, simulated = kAbsent, voided = kAbsent, width = 0;
+  std::size_t record = kAbsent, serial = kAbsent, part_number = kAbsent, batch = kAbsent, station = kAbsent,
+              fixture = kAbsent, started = kAbsent, verdict = kAbsent, simulated = kAbsent, voided = kAbsent,
+              width = 0;
   struct Parameter {
     std::size_t number;  ///< in the table
     std::size_t value, deviation;
@@ -133,7 +138,8 @@ class TableOfFiles {
       if (line.empty() || line == "\r") continue;
       split(line, cells_);
       if (cells_.size() != columns.width)
-        return failure(fmt::format("{}:{}: {} columns, the header has {}", file, number, cells_.size(), columns.width));
+        return failure(
+            fmt::format("{}:{}: {} columns, the header has {}", file, number, cells_.size(), columns.width));
       if (const Result<void> taken = take(columns, fmt::format("{}:{}", file, number)); !taken) return taken;
     }
     return {};
@@ -142,9 +148,10 @@ class TableOfFiles {
   Result<LineTable> finish() {
     leave_out_simulated();
     if (table_.checks() < 10)
-      return failure(fmt::format("{} of {} rows are valid checks: too few to attribute anything ({} neither PASS nor FAIL, {} void, "
-                                 "{} incomplete)",
-                                 table_.checks(), table_.rows, table_.invalid, table_.voided, table_.incomplete));
+      return failure(fmt::format(
+          "{} of {} rows are valid checks: too few to attribute anything ({} neither PASS nor FAIL, {} void, "
+          "{} incomplete)",
+          table_.checks(), table_.rows, table_.invalid, table_.voided, table_.incomplete));
     Layout& layout = table_.layout;
     renumber(layout.brake, layout.brakes);
     table_.stations = keep_used(layout.station, stations_.all(), layout.stations);
@@ -163,6 +170,7 @@ class TableOfFiles {
     };
     columns.record = column("record");
     columns.serial = column("serial");
+    columns.part_number = column("part_number");
     columns.batch = column("batch");
     columns.station = column("station");
     columns.fixture = column("fixture");
@@ -170,54 +178,80 @@ class TableOfFiles {
     columns.verdict = column("verdict");
     columns.simulated = column("simulated");
     columns.voided = column("void");
-    for (const auto& [name, at] : {std::pair("serial", columns.serial), std::pair("station", columns.station),
-                                   std::pair("started", columns.started), std::pair("verdict", columns.verdict)})
+    for (const auto& [name, at] :
+         {std::pair("serial", columns.serial), std::pair("station", columns.station),
+          std::pair("started", columns.started), std::pair("verdict", columns.verdict)})
       if (at == kAbsent)
-        return failure(fmt::format("{}:1: there is no column {}: a table as `clampctl results --csv` writes it is needed", file, name));
+        return failure(fmt::format(
+            "{}:1: there is no column {}: a table as `clampctl results --csv` writes it is needed", file,
+            name));
     for (std::size_t i = 0; i < cells_.size(); ++i) {
       const std::string_view cell = cells_[i];
       const std::size_t bracket = cell.find(" [");
       if (bracket == std::string_view::npos || cell.starts_with("sheet ")) continue;
-      const std::size_t deviation = column(fmt::format("{} sd{}", cell.substr(0, bracket), cell.substr(bracket)));
+      const std::size_t deviation =
+          column(fmt::format("{} sd{}", cell.substr(0, bracket), cell.substr(bracket)));
       if (deviation == kAbsent) continue;
-      const std::string name(cell.substr(0, bracket)), unit(cell.substr(bracket + 2, cell.size() - bracket - 3));
-      auto known = std::find_if(table_.parameters.begin(), table_.parameters.end(), [&](const auto& p) { return p.name == name; });
+      const std::string name(cell.substr(0, bracket)),
+          unit(cell.substr(bracket + 2, cell.size() - bracket - 3));
+      auto known = std::find_if(table_.parameters.begin(), table_.parameters.end(),
+                                [&](const auto& p) { return p.name == name; });
       if (known != table_.parameters.end() && known->unit != unit)
-        return failure(fmt::format("{}:1: {} is in {} here and in {} in another file", file, name, unit, known->unit));
+        return failure(
+            fmt::format("{}:1: {} is in {} here and in {} in another file", file, name, unit, known->unit));
       if (known == table_.parameters.end() && files_ > 0)
         return failure(fmt::format("{}:1: has the parameter {}, which other files do not have", file, name));
       if (known == table_.parameters.end()) known = table_.parameters.insert(known, {name, unit, {}, {}});
-      columns.parameters.push_back({static_cast<std::size_t>(known - table_.parameters.begin()), i, deviation});
+      columns.parameters.push_back(
+          {static_cast<std::size_t>(known - table_.parameters.begin()), i, deviation});
     }
     if (columns.parameters.size() != table_.parameters.size() || columns.parameters.empty())
-      return failure(fmt::format("{}:1: has {} parameters with a standard deviation (columns NAME [unit] and NAME sd [unit]), {} are needed",
-                                 file, columns.parameters.size(), std::max<std::size_t>(1, table_.parameters.size())));
+      return failure(
+          fmt::format("{}:1: has {} parameters with a standard deviation (columns NAME [unit] and NAME sd "
+                      "[unit]), {} are needed",
+                      file, columns.parameters.size(), std::max<std::size_t>(1, table_.parameters.size())));
     ++files_;
     return {};
   }
 
   Result<void> take(const Columns& columns, const std::string& place) {
-    const auto cell = [&](std::size_t column) { return column == kAbsent ? std::string_view() : cells_[column]; };
+    const auto cell = [&](std::size_t column) {
+      return column == kAbsent ? std::string_view() : cells_[column];
+    };
     ++table_.rows;
     if (!cell(columns.voided).empty()) return ++table_.voided, Result<void>{};
-    if (cell(columns.verdict) != "PASS" && cell(columns.verdict) != "FAIL") return ++table_.invalid, Result<void>{};
+    if (cell(columns.verdict) != "PASS" && cell(columns.verdict) != "FAIL")
+      return ++table_.invalid, Result<void>{};
     double started = 0.0;
     if (cell(columns.serial).empty() || cell(columns.station).empty() || cell(columns.started).empty())
       return ++table_.incomplete, Result<void>{};
     if (!read_time(cell(columns.started), started))
-      return failure(fmt::format("{}:{}: '{}' is no time YYYY-MM-DDTHH:MM:SSZ", place, columns.started + 1, cell(columns.started)));
+      return failure(fmt::format("{}:{}: '{}' is no time YYYY-MM-DDTHH:MM:SSZ", place, columns.started + 1,
+                                 cell(columns.started)));
+    const std::string_view part = cell(columns.part_number);
+    if (!part_number_) part_number_ = part;
+    if (*part_number_ != part)
+      return failure(
+          fmt::format("{}: part number '{}', before '{}': different parts have different parameters. Take "
+                      "one part number at a time "
+                      "(`clampctl results --part-number`)",
+                      place, part, *part_number_));
     values_.clear();
     for (const Columns::Parameter& parameter : columns.parameters) {
-      if (cells_[parameter.value].empty() || cells_[parameter.deviation].empty()) return ++table_.incomplete, Result<void>{};
+      if (cells_[parameter.value].empty() || cells_[parameter.deviation].empty())
+        return ++table_.incomplete, Result<void>{};
       double value = 0.0, deviation = 0.0;
       if (!read_number(cells_[parameter.value], value))
-        return failure(fmt::format("{}:{}: '{}' is not a number", place, parameter.value + 1, cells_[parameter.value]));
+        return failure(
+            fmt::format("{}:{}: '{}' is not a number", place, parameter.value + 1, cells_[parameter.value]));
       if (!read_number(cells_[parameter.deviation], deviation) || deviation < 0.0)
-        return failure(fmt::format("{}:{}: '{}' is no standard deviation", place, parameter.deviation + 1, cells_[parameter.deviation]));
+        return failure(fmt::format("{}:{}: '{}' is no standard deviation", place, parameter.deviation + 1,
+                                   cells_[parameter.deviation]));
       values_.emplace_back(value, deviation);
     }
-    if (columns.record != kAbsent && !records_.insert(std::hash<std::string_view>{}(cell(columns.record)) ^
-                                                      std::hash<std::string_view>{}(cell(columns.station)) * 31U)
+    if (columns.record != kAbsent && !records_
+                                          .insert(std::hash<std::string_view>{}(cell(columns.record)) ^
+                                                  std::hash<std::string_view>{}(cell(columns.station)) * 31U)
                                           .second)
       return ++table_.doubled, Result<void>{};
     add(columns, cell, started);
@@ -227,10 +261,12 @@ class TableOfFiles {
   template <class Cell>
   void add(const Columns& columns, const Cell& cell, double started) {
     Layout& layout = table_.layout;
-    const std::string_view station = cell(columns.station), fixture = cell(columns.fixture), batch = cell(columns.batch);
+    const std::string_view station = cell(columns.station), fixture = cell(columns.fixture),
+                           batch = cell(columns.batch);
     layout.brake.push_back(brakes_.number(cell(columns.serial)));
     layout.station.push_back(stations_.number(station));
-    layout.fixture.push_back(fixtures_.number(fmt::format("{} / {}", station, fixture.empty() ? "-" : fixture)));
+    layout.fixture.push_back(
+        fixtures_.number(fmt::format("{} / {}", station, fixture.empty() ? "-" : fixture)));
     layout.batch.push_back(batch.empty() ? -1 : batches_.number(batch));
     started_.push_back(started);
     simulated_.push_back(cell(columns.simulated) == "1");
@@ -268,14 +304,17 @@ class TableOfFiles {
     old.erase(std::unique(old.begin(), old.end()), old.end());
     if (!old.empty() && old.front() < 0) old.erase(old.begin());
     for (std::int32_t& level : levels)
-      if (level >= 0) level = static_cast<std::int32_t>(std::lower_bound(old.begin(), old.end(), level) - old.begin());
+      if (level >= 0)
+        level = static_cast<std::int32_t>(std::lower_bound(old.begin(), old.end(), level) - old.begin());
     count = static_cast<int>(old.size());
     return old;
   }
 
-  static std::vector<std::string> keep_used(std::vector<std::int32_t>& levels, const std::vector<std::string>& names, int& count) {
+  static std::vector<std::string> keep_used(std::vector<std::int32_t>& levels,
+                                            const std::vector<std::string>& names, int& count) {
     std::vector<std::string> used;
-    for (const std::int32_t old : renumber(levels, count)) used.push_back(names[static_cast<std::size_t>(old)]);
+    for (const std::int32_t old : renumber(levels, count))
+      used.push_back(names[static_cast<std::size_t>(old)]);
     return used;
   }
 
@@ -286,7 +325,8 @@ class TableOfFiles {
     Layout& layout = table_.layout;
     layout.periods = table_.last_s > table_.first_s ? periods_of(started_.size(), layout.stations) : 1;
     for (const double started : started_) {
-      const double share = layout.periods == 1 ? 0.0 : (started - table_.first_s) / (table_.last_s - table_.first_s);
+      const double share =
+          layout.periods == 1 ? 0.0 : (started - table_.first_s) / (table_.last_s - table_.first_s);
       layout.period.push_back(std::min(layout.periods - 1, static_cast<int>(share * layout.periods)));
     }
   }
@@ -294,6 +334,7 @@ class TableOfFiles {
   LineTable table_;
   Names brakes_, stations_, fixtures_, batches_;
   std::unordered_set<std::size_t> records_;
+  std::optional<std::string> part_number_;  ///< of all checks
   std::vector<double> started_;
   std::vector<bool> simulated_;
   std::vector<std::string_view> cells_;
@@ -304,7 +345,8 @@ class TableOfFiles {
 }  // namespace
 
 int periods_of(std::size_t checks, int stations) {
-  const auto by_checks = static_cast<int>(std::min<std::size_t>(kMostPeriods, checks / (kChecksInCell * static_cast<std::size_t>(stations))));
+  const auto by_checks = static_cast<int>(
+      std::min<std::size_t>(kMostPeriods, checks / (kChecksInCell * static_cast<std::size_t>(stations))));
   const int by_cells = std::clamp(kMostCells / stations, kFewestPeriods, kMostPeriods);
   const int periods = std::min(by_checks, by_cells);
   return periods >= 3 ? periods : 1;

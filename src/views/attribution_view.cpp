@@ -71,19 +71,19 @@ const std::string& name_of(const Finding& finding, const LineTable& table) {
 }
 
 std::string sentence(const Finding& finding, const ParameterAttribution& parameter, const LineTable& table) {
-  const std::string size =
-      fmt::format("{:+.3g} ± {:.2g} {} ({:+.1f} %)", finding.size, 1.96 * finding.sd, parameter.unit,
-                  100.0 * finding.size / std::abs(parameter.mean));
+  const std::string size = fmt::format("{:+.3g} ± {:.2g} {} ({:+.1f} %)", finding.size, 1.96 * finding.sd,
+                                       parameter.unit, 100.0 * finding.size / std::abs(parameter.mean));
   const std::string& name = name_of(finding, table);
   switch (finding.kind) {
     case Finding::Kind::StationStep:
       return fmt::format("station {}: {} changed by {} about {}", name, parameter.name, size,
                          time_text(table.begin_of_period_s(finding.period)));
     case Finding::Kind::StationDrift:
-      return fmt::format("station {}: {} drifts, by {} from {} to {}", name, parameter.name, size, time_text(table.first_s),
-                         time_text(table.last_s));
+      return fmt::format("station {}: {} drifts, by {} from {} to {}", name, parameter.name, size,
+                         time_text(table.first_s), time_text(table.last_s));
     case Finding::Kind::StationApart:
-      return fmt::format("station {}: {} differs by {} from what the spread of the stations allows", name, parameter.name, size);
+      return fmt::format("station {}: {} differs by {} from what the spread of the stations allows", name,
+                         parameter.name, size);
     case Finding::Kind::BatchApart:
       return fmt::format("batch {}: {} differs by {}, more than batches do", name, parameter.name, size);
   }
@@ -99,7 +99,8 @@ std::vector<std::string> unknown_stations(const LineTable& table, const LineAttr
 
 int brakes_needed(const LineAttribution& found) {
   int most = 0;
-  for (const ParameterAttribution& parameter : found.parameters) most = std::max(most, parameter.brakes_needed);
+  for (const ParameterAttribution& parameter : found.parameters)
+    most = std::max(most, parameter.brakes_needed);
   return most;
 }
 
@@ -110,8 +111,9 @@ std::string format_spread(const LineAttribution& found) {
   for (const ParameterAttribution& parameter : found.parameters) {
     text += fmt::format("{:<10}{:>12.5g}", parameter.name, parameter.mean);
     for (const NamedDeviation& named : kDeviations)
-      text += is_there(named, parameter.components) ? fmt::format("{:>16.3g}", parameter.deviations.*named.deviation)
-                                                    : fmt::format("{:>16}", "-");
+      text += is_there(named, parameter.components)
+                  ? fmt::format("{:>16.3g}", parameter.deviations.*named.deviation)
+                  : fmt::format("{:>16}", "-");
     text += fmt::format("{:>16.3g}  {}{}\n", parameter.identification, parameter.unit,
                         parameter.converged ? "" : "  (no convergence: do not rely on it)");
   }
@@ -121,13 +123,14 @@ std::string format_spread(const LineAttribution& found) {
 }  // namespace
 
 std::string format_attribution(const LineTable& table, const LineAttribution& found, double false_alarms) {
-  std::string text = fmt::format(
-      "{} checks of {} brakes from {} batches at {} stations, {} to {}\n", table.checks(), table.layout.brakes,
-      table.layout.batches, table.layout.stations, time_text(table.first_s), time_text(table.last_s));
+  std::string text = fmt::format("{} checks of {} brakes from {} batches at {} stations, {} to {}\n",
+                                 table.checks(), table.layout.brakes, table.layout.batches,
+                                 table.layout.stations, time_text(table.first_s), time_text(table.last_s));
   text += fmt::format("{} rows read", table.rows);
-  for (const auto& [count, what] : {std::pair(table.invalid, "neither PASS nor FAIL"), std::pair(table.voided, "void"),
-                                    std::pair(table.simulated, "simulated"), std::pair(table.incomplete, "incomplete"),
-                                    std::pair(table.doubled, "there twice")})
+  for (const auto& [count, what] :
+       {std::pair(table.invalid, "neither PASS nor FAIL"), std::pair(table.voided, "void"),
+        std::pair(table.simulated, "simulated"), std::pair(table.incomplete, "incomplete"),
+        std::pair(table.doubled, "there twice")})
     if (count > 0) text += fmt::format(", {} {}", count, what);
   text += "\n\n";
   bool any = false;
@@ -136,17 +139,20 @@ std::string format_attribution(const LineTable& table, const LineAttribution& fo
       text += sentence(finding, parameter, table) + "\n";
       any = true;
     }
-  text += any ? fmt::format("(On a line without any of this, something is found with a probability of {:g} %.)\n", 100.0 * false_alarms)
-              : "No station and no batch differs or changes by more than the others do.\n";
+  text +=
+      any ? fmt::format("(On a line without any of this, something is found with a probability of {:g} %.)\n",
+                        100.0 * false_alarms)
+          : "No station and no batch differs or changes by more than the others do.\n";
   text += "\nStandard deviations by cause:\n" + format_spread(found);
   if (!found.parameters.empty() && !found.parameters.front().components.repeat)
     text += "No brakes were checked twice: what repeats differ by is a part of the brakes' figure.\n";
   if (const std::vector<std::string> unknown = unknown_stations(table, found); !unknown.empty())
     text += fmt::format(
-        "\nThe data do not tell {} apart from the brakes and batches that {} checked: {}.\nCheck about {} brakes there and at another "
+        "\nThe data do not tell {} apart from the brakes and batches that {} checked: {}.\nCheck about {} "
+        "brakes there and at another "
         "station as well.\n",
-        unknown.size() == 1 ? "one station" : fmt::format("{} stations", unknown.size()), unknown.size() == 1 ? "it" : "they",
-        fmt::join(unknown, ", "), std::max(2, brakes_needed(found)));
+        unknown.size() == 1 ? "one station" : fmt::format("{} stations", unknown.size()),
+        unknown.size() == 1 ? "it" : "they", fmt::join(unknown, ", "), std::max(2, brakes_needed(found)));
   return text;
 }
 
@@ -158,7 +164,13 @@ ordered_json attribution_json(const LineTable& table, const LineAttribution& fou
                       {"stations", table.stations},
                       {"first", time_text(table.first_s)},
                       {"last", time_text(table.last_s)},
-                      {"rows", {{"read", table.rows}, {"invalid", table.invalid}, {"void", table.voided}, {"simulated", table.simulated}, {"incomplete", table.incomplete}, {"doubled", table.doubled}}},
+                      {"rows",
+                       {{"read", table.rows},
+                        {"invalid", table.invalid},
+                        {"void", table.voided},
+                        {"simulated", table.simulated},
+                        {"incomplete", table.incomplete},
+                        {"doubled", table.doubled}}},
                       {"false_alarms", false_alarms},
                       {"parameters", ordered_json::array()},
                       {"unknown_stations", unknown_stations(table, found)},
@@ -166,8 +178,9 @@ ordered_json attribution_json(const LineTable& table, const LineAttribution& fou
   for (const ParameterAttribution& parameter : found.parameters) {
     ordered_json deviations = ordered_json::object();
     for (const NamedDeviation& named : kDeviations)
-      deviations[named.key] =
-          is_there(named, parameter.components) ? ordered_json(parameter.deviations.*named.deviation) : ordered_json();
+      deviations[named.key] = is_there(named, parameter.components)
+                                  ? ordered_json(parameter.deviations.*named.deviation)
+                                  : ordered_json();
     deviations["identification"] = parameter.identification;
     ordered_json stations = ordered_json::array();
     for (std::size_t s = 0; s < parameter.stations.size(); ++s)
@@ -182,7 +195,8 @@ ordered_json attribution_json(const LineTable& table, const LineAttribution& fou
                          {"size", finding.size},
                          {"sd", finding.sd},
                          {"p", finding.p}};
-      if (finding.kind == Finding::Kind::StationStep) entry["about"] = time_text(table.begin_of_period_s(finding.period));
+      if (finding.kind == Finding::Kind::StationStep)
+        entry["about"] = time_text(table.begin_of_period_s(finding.period));
       findings.push_back(std::move(entry));
     }
     result["parameters"].push_back({{"name", parameter.name},

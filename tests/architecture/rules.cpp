@@ -24,6 +24,8 @@ struct LibraryRule {
 const std::vector<LibraryRule>& library_rules() {
   static const std::vector<LibraryRule> kRules{
       {"ceres/jet.h", {"identify", "brake"}, false},  // numbers with derivatives, no solver
+      {"ceres/gradient_problem", {"attribution"}, false},
+      {"ceres/first_order_function.h", {"attribution"}, false},
       {"ceres/", {"identify"}, false},
       {"nlopt", {"experiment"}, false},
       {"coin/", {"experiment"}, false},

@@ -50,8 +50,10 @@ TEST(Attribution, NamesTheStationThatChangedAndWhen) {
       if (finding.number != factory.step_station || finding.kind == Finding::Kind::BatchApart)
         ++others;
       else if (finding.kind == Finding::Kind::StationStep)
-        named = named || (std::abs(finding.period / static_cast<double>(table.layout.periods) - factory.step_at) < 0.1 &&
-                          std::abs(finding.size - factory.step) < 4.0 * finding.sd);
+        named =
+            named ||
+            (std::abs(finding.period / static_cast<double>(table.layout.periods) - factory.step_at) < 0.1 &&
+             std::abs(finding.size - factory.step) < 4.0 * finding.sd);
     }
     right += named ? 1 : 0;
   }
@@ -68,7 +70,9 @@ TEST(Attribution, NamesTheStationThatDrifts) {
     factory.drift_station = 3;
     factory.drift = 0.6;
     const std::vector<Finding> findings = findings_of(factory, 500 + seed);
-    right += !findings.empty() && findings[0].kind == Finding::Kind::StationDrift && findings[0].number == 3 ? 1 : 0;
+    right += !findings.empty() && findings[0].kind == Finding::Kind::StationDrift && findings[0].number == 3
+                 ? 1
+                 : 0;
   }
   EXPECT_GE(right, 5);
 }

@@ -35,7 +35,8 @@ double dense_deviance(const LineTable& table, const Deviations& d) {
     covariance(i, i) = d.repeat * d.repeat + sd * sd;
     for (Eigen::Index j = 0; j < n; ++j) {
       const auto b = static_cast<std::size_t>(j);
-      const bool station = layout.station[a] == layout.station[b], period = layout.period[a] == layout.period[b];
+      const bool station = layout.station[a] == layout.station[b],
+                 period = layout.period[a] == layout.period[b];
       if (layout.brake[a] == layout.brake[b]) covariance(i, j) += d.brake * d.brake;
       if (layout.batch[a] == layout.batch[b]) covariance(i, j) += d.batch * d.batch;
       if (station) covariance(i, j) += d.station * d.station;
@@ -60,7 +61,8 @@ TEST(CrossedEffects, TheDevianceIsThatOfTheWholeCovariance) {
   ASSERT_GE(table.layout.periods, 3);
   const CrossedEffects model = model_of(table);
   const Deviations one{0.2, 1.0, 0.5, 0.4, 0.0, 0.1, 0.3}, other{0.5, 0.6, 0.9, 0.2, 0.0, 0.4, 0.1};
-  EXPECT_NEAR(model.deviance(one) - model.deviance(other), dense_deviance(table, one) - dense_deviance(table, other), 1e-8);
+  EXPECT_NEAR(model.deviance(one) - model.deviance(other),
+              dense_deviance(table, one) - dense_deviance(table, other), 1e-8);
 }
 
 TEST(CrossedEffects, SlopesAreThoseOfTheDeviance) {
@@ -70,12 +72,15 @@ TEST(CrossedEffects, SlopesAreThoseOfTheDeviance) {
   std::vector<double> slopes;
   model.deviance(at, slopes);
   std::size_t i = 0;
-  for (double Deviations::*const member : {&Deviations::repeat, &Deviations::brake, &Deviations::batch, &Deviations::station,
-                                           &Deviations::fixture, &Deviations::period, &Deviations::wander}) {
+  for (double Deviations::*const member :
+       {&Deviations::repeat, &Deviations::brake, &Deviations::batch, &Deviations::station,
+        &Deviations::fixture, &Deviations::period, &Deviations::wander}) {
     Deviations up = at, down = at;
     up.*member *= std::exp(1e-4);
     down.*member *= std::exp(-1e-4);
-    EXPECT_NEAR(slopes[i], (model.deviance(up) - model.deviance(down)) / 2e-4, 1e-4 * (1.0 + std::abs(slopes[i]))) << i;
+    EXPECT_NEAR(slopes[i], (model.deviance(up) - model.deviance(down)) / 2e-4,
+                1e-4 * (1.0 + std::abs(slopes[i])))
+        << i;
     ++i;
   }
 }
@@ -85,8 +90,8 @@ TEST(CrossedEffects, TheFitIsAMinimum) {
   CrossedEffects model = model_of(table);
   ASSERT_TRUE(model.fit());
   const double least = model.deviance(model.deviations());
-  for (double Deviations::*const member :
-       {&Deviations::repeat, &Deviations::brake, &Deviations::batch, &Deviations::station, &Deviations::wander})
+  for (double Deviations::*const member : {&Deviations::repeat, &Deviations::brake, &Deviations::batch,
+                                           &Deviations::station, &Deviations::wander})
     for (const double factor : {0.9, 1.1}) {
       Deviations beside = model.deviations();
       beside.*member *= factor;
@@ -94,8 +99,8 @@ TEST(CrossedEffects, TheFitIsAMinimum) {
     }
 }
 
-/// Means of the estimated variances of many lines. A variance that is estimated from n effects scatters by √(2/n); so does a
-/// line's own draw of effects from the truth.
+/// Means of the estimated variances of many lines. A variance that is estimated from n effects scatters by
+/// √(2/n); so does a line's own draw of effects from the truth.
 TEST(CrossedEffects, VariancesAreThoseThatTheLineWasMadeWith) {
   Factory factory;
   factory.stations = 10;
@@ -107,8 +112,8 @@ TEST(CrossedEffects, VariancesAreThoseThatTheLineWasMadeWith) {
     const LineTable table = make_line(factory, 100 + static_cast<std::uint64_t>(line));
     CrossedEffects model = model_of(table);
     ASSERT_TRUE(model.fit());
-    for (double Deviations::*const member : {&Deviations::repeat, &Deviations::brake, &Deviations::batch, &Deviations::station,
-                                             &Deviations::period, &Deviations::wander})
+    for (double Deviations::*const member : {&Deviations::repeat, &Deviations::brake, &Deviations::batch,
+                                             &Deviations::station, &Deviations::period, &Deviations::wander})
       squares.*member += model.deviations().*member * (model.deviations().*member) / kLines;
   }
   const auto expect_near = [&](double Deviations::*member, double effects, const char* name) {
@@ -118,7 +123,8 @@ TEST(CrossedEffects, VariancesAreThoseThatTheLineWasMadeWith) {
   expect_near(&Deviations::brake, factory.brakes, "brake");
   expect_near(&Deviations::batch, factory.batches, "batch");
   expect_near(&Deviations::station, factory.stations, "station");
-  expect_near(&Deviations::wander, factory.stations * 24 / 3.0, "wander");  // two thirds of what a period shows are the brakes that came by
+  expect_near(&Deviations::wander, factory.stations * 24 / 3.0,
+              "wander");  // two thirds of what a period shows are the brakes that came by
   EXPECT_NEAR(squares.repeat / 0.04, 1.0, 0.3);
 }
 

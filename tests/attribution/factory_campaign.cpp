@@ -1,4 +1,5 @@
-// Lines of many stations with hidden causes, of which it counts what attribute() names; and what a large line costs.
+// Lines of many stations with hidden causes, of which it counts what attribute() names; and what a large line
+// costs.
 //
 //   factory_campaign [lines] [seed] [brakes of a station, about] [brakes of the large line, 0: none]
 
@@ -84,11 +85,14 @@ void write_large_line(const std::string& file, int brakes) {
   for (int p = 0; p < 7; ++p) out << fmt::format(",p{0} [u],p{0} sd [u]", p);
   out << '\n';
   for (std::size_t i = 0; i < table.checks(); ++i) {
-    const int second = static_cast<int>(86400.0 * static_cast<double>(i) / static_cast<double>(table.checks()));
-    out << fmt::format("R{},S{},B{},S{},2026-11-20T{:02}:{:02}:{:02}.000Z,PASS", i, table.layout.brake[i], table.layout.batch[i],
-                       table.layout.station[i], second / 3600, second / 60 % 60, second % 60);
+    const int second =
+        static_cast<int>(86400.0 * static_cast<double>(i) / static_cast<double>(table.checks()));
+    out << fmt::format("R{},S{},B{},S{},2026-11-20T{:02}:{:02}:{:02}.000Z,PASS", i, table.layout.brake[i],
+                       table.layout.batch[i], table.layout.station[i], second / 3600, second / 60 % 60,
+                       second % 60);
     for (int p = 0; p < 7; ++p)
-      out << fmt::format(",{:.8g},{:.4g}", table.parameters[0].values[i] + p, table.parameters[0].deviations[i]);
+      out << fmt::format(",{:.8g},{:.4g}", table.parameters[0].values[i] + p,
+                         table.parameters[0].deviations[i]);
     out << '\n';
   }
 }
@@ -102,10 +106,13 @@ int main(int argc, char** argv) {
   const std::uint64_t seed = argc > 2 ? std::strtoull(argv[2], nullptr, 10) : 1;
   const int brakes_of_a_station = argc > 3 ? std::atoi(argv[3]) : 500;
   const int brakes = argc > 4 ? std::atoi(argv[4]) : 0;
-  fmt::print("{:<10}{:>8}{:>16}{:>16}{:>10}\n", "hidden", "lines", "right station", "other station", "a batch");
-  for (const auto& [hidden, name] : {std::pair(Hidden::Nothing, "nothing"), std::pair(Hidden::Step, "step"), std::pair(Hidden::Drift, "drift")}) {
+  fmt::print("{:<10}{:>8}{:>16}{:>16}{:>10}\n", "hidden", "lines", "right station", "other station",
+             "a batch");
+  for (const auto& [hidden, name] : {std::pair(Hidden::Nothing, "nothing"), std::pair(Hidden::Step, "step"),
+                                     std::pair(Hidden::Drift, "drift")}) {
     const Count counted = count(hidden, lines, seed, brakes_of_a_station);
-    fmt::print("{:<10}{:>8}{:>16}{:>16}{:>10}\n", name, counted.lines, counted.right, counted.other_station, counted.batch);
+    fmt::print("{:<10}{:>8}{:>16}{:>16}{:>10}\n", name, counted.lines, counted.right, counted.other_station,
+               counted.batch);
   }
   if (brakes > 0) {
     const std::string file = "large_line.csv";
@@ -115,12 +122,12 @@ int main(int argc, char** argv) {
     if (!table) return fmt::print("{}\n", table.error().message), 1;
     const double read = seconds_since(start);
     const LineAttribution found = attribute(*table, {});
-    fmt::print("{} checks, 40 stations, 7 parameters: read in {:.1f} s, attributed in {:.1f} s\n", table->checks(), read,
-               seconds_since(start) - read);
+    fmt::print("{} checks, 40 stations, 7 parameters: read in {:.1f} s, attributed in {:.1f} s\n",
+               table->checks(), read, seconds_since(start) - read);
     for (const ParameterAttribution& parameter : found.parameters)
       fmt::print("{}: brake {:.4f} batch {:.4f} station {:.4f} time {:.4f} converged {}\n", parameter.name,
-                 parameter.deviations.brake, parameter.deviations.batch, parameter.deviations.station, parameter.deviations.period,
-                 parameter.converged);
+                 parameter.deviations.brake, parameter.deviations.batch, parameter.deviations.station,
+                 parameter.deviations.period, parameter.converged);
   }
   return 0;
 }

@@ -13,19 +13,21 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
 constexpr const char* kHeader =
-    "record,serial,batch,station,fixture,started,verdict,reason,simulated,void,k1 [N/rad],k1 sd [N/rad],sheet drag [N m],sheet drag sd "
+    "record,serial,batch,station,fixture,started,verdict,reason,simulated,void,k1 [N/rad],k1 sd "
+    "[N/rad],sheet drag [N m],sheet drag sd "
     "[N m],TC lower [N m]\r\n";
 
-std::string row(int number, const std::string& station, const std::string& verdict = "PASS", const std::string& value = "12.5") {
-  return fmt::format("R{0},S{0},B{1},{2},,2026-11-20T0{3}:00:00.000Z,{4},\"quoted, with\na line break\",0,,{5},0.1,1,1,2\r\n", number,
-                     number / 4, station, number % 10, verdict, value);
+std::string row(int number, const std::string& station, const std::string& verdict = "PASS",
+                const std::string& value = "12.5") {
+  return fmt::format(
+      "R{0},S{0},B{1},{2},,2026-11-20T0{3}:00:00.000Z,{4},\"quoted, with\na line "
+      "break\",0,,{5},0.1,1,1,2\r\n",
+      number, number / 4, station, number % 10, verdict, value);
 }
 
 class LineTables : public ::testing::Test {
  protected:
-  std::string file(const std::string& name, const std::string& text) {
-    return directory_.write(name, text);
-  }
+  std::string file(const std::string& name, const std::string& text) { return directory_.write(name, text); }
   std::string error(const std::string& text) {
     const auto table = read_line_table({file("bad.csv", text)});
     return table ? "read" : table.error().message;
@@ -71,12 +73,20 @@ TEST_F(LineTables, SimulatedBrakesCountWhereThereAreNoOthers) {
 TEST_F(LineTables, WhatIsWrongIsSaidWithItsPlace) {
   EXPECT_THAT(error(""), HasSubstr("bad.csv: is empty"));
   EXPECT_THAT(error("serial,station,verdict\n"), HasSubstr("bad.csv:1: there is no column started"));
-  EXPECT_THAT(error("serial,station,started,verdict\n"), HasSubstr("has 0 parameters with a standard deviation"));
-  EXPECT_THAT(error(kHeader + row(1, "A") + "R2,S2\r\n"), HasSubstr("bad.csv:4: 2 columns, the header has 15"));
+  EXPECT_THAT(error("serial,station,started,verdict\n"),
+              HasSubstr("has 0 parameters with a standard deviation"));
+  EXPECT_THAT(error(kHeader + row(1, "A") + "R2,S2\r\n"),
+              HasSubstr("bad.csv:4: 2 columns, the header has 15"));
   EXPECT_THAT(error(kHeader + row(1, "A", "PASS", "12,5")), HasSubstr("bad.csv:3: 16 columns"));
   EXPECT_THAT(error(kHeader + row(1, "A", "PASS", "nan")), HasSubstr("bad.csv:3:11: 'nan' is not a number"));
   EXPECT_THAT(error(kHeader + row(1, "A")), HasSubstr("1 of 1 rows are valid checks: too few"));
-  EXPECT_THAT(read_line_table({"/nowhere/x.csv"}).error().message, HasSubstr("/nowhere/x.csv: cannot be read"));
+  EXPECT_THAT(read_line_table({"/nowhere/x.csv"}).error().message,
+              HasSubstr("/nowhere/x.csv: cannot be read"));
+  const std::string parts =
+      "serial,part_number,station,started,verdict,k1 [N],k1 sd [N]\n"
+      "1,P,A,2026-11-20T00:00:00Z,PASS,1,1\n"
+      "2,Q,A,2026-11-20T00:00:00Z,PASS,1,1\n";
+  EXPECT_THAT(error(parts), HasSubstr("bad.csv:3: part number 'Q', before 'P'"));
   std::string time = kHeader + row(1, "A");
   time.replace(time.find("2026-11-20"), 10, "2026-13-20");
   EXPECT_THAT(error(time), HasSubstr("bad.csv:3:6: '2026-13-20T01:00:00.000Z' is no time"));

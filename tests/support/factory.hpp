@@ -17,9 +17,15 @@ struct Factory {
   double checked_twice = 0.1;  ///< share of the brakes, the second time at a station of chance
   bool batch_at_one_station = false;
   double mean = 50.0;
-  attribution::Deviations deviations{
-      .repeat = 0.2, .brake = 1.0, .batch = 0.5, .station = 0.4, .fixture = 0.0, .period = 0.1, .wander = 0.0};
-  double identification = 0.3;  ///< the largest standard deviation that it reports; the smallest is half of it
+  attribution::Deviations deviations{.repeat = 0.2,
+                                     .brake = 1.0,
+                                     .batch = 0.5,
+                                     .station = 0.4,
+                                     .fixture = 0.0,
+                                     .period = 0.1,
+                                     .wander = 0.0};
+  double identification =
+      0.3;  ///< the largest standard deviation that it reports; the smallest is half of it
   int step_station = -1;
   double step_at = 0.5;  ///< share of the time
   double step = 0.0;
@@ -69,8 +75,8 @@ inline attribution::LineTable make_line(const Factory& factory, std::uint64_t se
       const int s = factory.batch_at_one_station && check == 0 ? b % factory.stations : any;
       const int p = std::min(layout.periods - 1, static_cast<int>(time * layout.periods));
       const double sd = factory.identification * (0.5 + 0.5 * uniform(random));
-      double value = factory.mean + of_brake + batch[static_cast<std::size_t>(b)] + station[static_cast<std::size_t>(s)] +
-                     period[static_cast<std::size_t>(p)] +
+      double value = factory.mean + of_brake + batch[static_cast<std::size_t>(b)] +
+                     station[static_cast<std::size_t>(s)] + period[static_cast<std::size_t>(p)] +
                      wander[static_cast<std::size_t>(p * factory.stations + s)] +
                      factory.deviations.repeat * normal(random) + sd * normal(random);
       if (s == factory.step_station && time >= factory.step_at) value += factory.step;

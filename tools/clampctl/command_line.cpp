@@ -34,13 +34,14 @@ int line(const LineOptions& options) {
 
 void add_line_command(CLI::App& app, int& exit_code) {
   auto options = std::make_shared<LineOptions>();
-  CLI::App* command = app.add_subcommand(
-      "line",
-      "whose fault it is: which station or batch differs, drifts or changed in which parameter, and how much of the spread "
-      "comes from brakes, batches, stations, time and repeats");
+  CLI::App* command = app.add_subcommand("line",
+                                         "whose fault it is: which station or batch differs, drifts or "
+                                         "changed in which parameter, and how much of the spread "
+                                         "comes from brakes, batches, stations, time and repeats");
   command
       ->add_option("FILES", options->files,
-                   "checks of the stations, as `clampctl results --csv FILE` of each writes them; docs/attribution.md has a query "
+                   "checks of the stations, as `clampctl results --csv FILE` of each writes them; "
+                   "docs/attribution.md has a query "
                    "that takes them from the database")
       ->required()
       ->type_name("CHECKS.csv");
@@ -49,7 +50,9 @@ void add_line_command(CLI::App& app, int& exit_code) {
                    "probability that anything is found on a line where there is nothing")
       ->check(CLI::Range(1e-6, 0.5))
       ->capture_default_str();
-  command->add_option("--threads", options->attribution.threads, "0: all processors")->check(CLI::Range(0, 64))->capture_default_str();
+  command->add_option("--threads", options->attribution.threads, "0: all processors")
+      ->check(CLI::Range(0, 64))
+      ->capture_default_str();
   command->add_flag("--json", options->json, "as JSON on standard output (clampd.line/1)");
   command->callback([options, &exit_code] { exit_code = line(*options); });
 }

@@ -44,7 +44,8 @@ struct ParameterAttribution {
   std::vector<Finding> findings;  ///< the strongest first
   /// Stations explain a spread as well as batches do: `deviations.station` is as large as it can be then.
   bool confounded = false;
-  /// So many brakes, checked at two stations each, would tell the stations apart; 0 where it is known already.
+  /// So many brakes, checked at two stations each, would tell the stations apart; 0 where it is known
+  /// already.
   int brakes_needed = 0;
 };
 
@@ -55,7 +56,8 @@ struct AttributionOptions {
 
 struct LineAttribution {
   std::vector<ParameterAttribution> parameters;
-  std::vector<bool> separable;  ///< per station: its level is known well enough, in all parameters in which stations differ
+  std::vector<bool>
+      separable;  ///< per station: its level is known well enough, in all parameters in which stations differ
 };
 
 /// A level with a smaller reliability is not known.

@@ -9,13 +9,15 @@
 
 namespace clampd::attribution {
 
-/// Who made, carried and checked what: the levels of every check, by number from 0. All parameters of the checks share them.
+/// Who made, carried and checked what: the levels of every check, by number from 0. All parameters of the
+/// checks share them.
 struct Layout {
   std::vector<std::int32_t> brake;    ///< of each check
   std::vector<std::int32_t> batch;    ///< of each check; -1: not known
   std::vector<std::int32_t> station;  ///< of each check
   std::vector<std::int32_t> fixture;  ///< of each check; a fixture of one station is not that of another
-  std::vector<std::int32_t> period;   ///< of each check: equal parts of the time from the first check to the last
+  std::vector<std::int32_t>
+      period;  ///< of each check: equal parts of the time from the first check to the last
   int brakes = 0;
   int batches = 0;
   int stations = 0;
@@ -23,7 +25,8 @@ struct Layout {
   int periods = 1;
 };
 
-/// Standard deviations of the random effects, in the unit of the readings. Those that the data cannot have are zero.
+/// Standard deviations of the random effects, in the unit of the readings. Those that the data cannot have
+/// are zero.
 struct Deviations {
   double repeat = 0.0;   ///< of checks of one brake at one station, beyond what identification says of itself
   double brake = 0.0;    ///< of brakes of one batch
@@ -68,15 +71,17 @@ struct Evidence {
 ///
 ///   reading = mean + changes + brake + batch + station + fixture + period + station's period + repeat,
 ///
-/// all random but the mean and the named changes, each reading with the variance that its identification reported beside the
-/// variance of a repeat. Variances by restricted maximum likelihood (Patterson and Thompson 1971), levels by Henderson's
-/// equations (1975). Brakes and batches are eliminated one after another (Schur complements of rank one), so that a likelihood
-/// costs one pass over the checks and one factorisation of the size of the *cells*: what has a station, a fixture and a period in
-/// common.
+/// all random but the mean and the named changes, each reading with the variance that its identification
+/// reported beside the variance of a repeat. Variances by restricted maximum likelihood (Patterson and
+/// Thompson 1971), levels by Henderson's equations (1975). Brakes and batches are eliminated one after
+/// another (Schur complements of rank one), so that a likelihood costs one pass over the checks and one
+/// factorisation of the size of the *cells*: what has a station, a fixture and a period in common.
 class CrossedEffects {
  public:
-  /// Readings and their standard deviations, in the order of `layout`, which must outlive this. At least three checks.
-  CrossedEffects(const Layout& layout, const std::vector<double>& readings, const std::vector<double>& deviations);
+  /// Readings and their standard deviations, in the order of `layout`, which must outlive this. At least
+  /// three checks.
+  CrossedEffects(const Layout& layout, const std::vector<double>& readings,
+                 const std::vector<double>& deviations);
 
   int cells() const { return static_cast<int>(cell_station_.size()); }
   int station_of(int cell) const { return cell_station_[static_cast<std::size_t>(cell)]; }
@@ -84,16 +89,16 @@ class CrossedEffects {
   int fixture_of(int cell) const { return cell_fixture_[static_cast<std::size_t>(cell)]; }
   const Components& components() const { return components_; }
 
-  /// Minus twice the restricted log likelihood, up to a constant that the deviations do not change. Infinite where rounding
-  /// leaves no positive definite matrix.
+  /// Minus twice the restricted log likelihood, up to a constant that the deviations do not change. Infinite
+  /// where rounding leaves no positive definite matrix.
   double deviance(const Deviations& deviations) const;
 
   /// The most likely deviations, from a start that the spread of the readings gives. False: no convergence.
   bool fit();
   /// The most likely deviations if these components had none. Those of the model stay.
   Deviations fit_without(std::initializer_list<bool Components::*> components);
-  /// Minus twice the restricted log likelihood and its derivatives by the logarithm of each deviation, in the order of their
-  /// members; zero for those that the data cannot have.
+  /// Minus twice the restricted log likelihood and its derivatives by the logarithm of each deviation, in the
+  /// order of their members; zero for those that the data cannot have.
   double deviance(const Deviations& deviations, std::vector<double>& slopes) const;
   const Deviations& deviations() const { return deviations_; }
   /// For tests, and for what is fitted already.
@@ -103,7 +108,8 @@ class CrossedEffects {
   void add_change(Change change) { changes_.push_back(std::move(change)); }
   void drop_changes() { changes_.clear(); }
 
-  /// Evidence for each change beside those that were added: the score test at the fitted deviations, and the size that it implies.
+  /// Evidence for each change beside those that were added: the score test at the fitted deviations, and the
+  /// size that it implies.
   std::vector<Evidence> evidence(const std::vector<Change>& candidates) const;
 
   /// Levels of stations and batches at the fitted deviations.

@@ -27,12 +27,12 @@ struct LineTable {
   double last_s = 0.0;
   std::vector<ParameterReadings> parameters;
 
-  std::size_t rows = 0;         ///< that were read
-  std::size_t invalid = 0;      ///< of them neither PASS nor FAIL
+  std::size_t rows = 0;     ///< that were read
+  std::size_t invalid = 0;  ///< of them neither PASS nor FAIL
   std::size_t voided = 0;
-  std::size_t simulated = 0;    ///< left out beside real brakes
-  std::size_t incomplete = 0;   ///< without a serial number, a station, a time, or one of the parameters
-  std::size_t doubled = 0;      ///< records that were there already
+  std::size_t simulated = 0;   ///< left out beside real brakes
+  std::size_t incomplete = 0;  ///< without a serial number, a station, a time, or one of the parameters
+  std::size_t doubled = 0;     ///< records that were there already
 
   std::size_t checks() const { return layout.brake.size(); }
   /// When a period begins, seconds since 1970.
@@ -41,9 +41,9 @@ struct LineTable {
   }
 };
 
-/// Reads what `clampctl results --csv` of several stations wrote. Columns in any order: record, serial, batch, station, fixture,
-/// started, verdict, simulated, void, and a pair "NAME [unit]" and "NAME sd [unit]" for each parameter; other columns are ignored.
-/// Errors say file and line.
+/// Reads what `clampctl results --csv` of several stations wrote. Columns in any order: record, serial,
+/// part_number, batch, station, fixture, started, verdict, simulated, void, and a pair "NAME [unit]" and
+/// "NAME sd [unit]" for each parameter; other columns are ignored. Errors say file and line.
 Result<LineTable> read_line_table(const std::vector<std::string>& files);
 
 /// How many equal periods the time of so many checks at so many stations is divided into.
