@@ -5,12 +5,13 @@
 #include <limits>
 #include <numbers>
 #include <numeric>
+#include <utility>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/identify/prediction_error.hpp"
 #include "clampd/statistics/symmetric.hpp"
 #include "src/identify/extended_run.hpp"
-#include "src/identify/minimiser.hpp"
+#include "src/identify/fit_of_runs.hpp"
 #include "src/identify/starting_point.hpp"
 
 namespace clampd {
@@ -43,79 +44,82 @@ struct Part {
   std::vector<int> initial_states;
 };
 
-/// The innovations of all runs as a function of the unknowns, for ceres::TinySolver, with gains that stay as
-/// they are; as JointFit, but for any model. Unknowns: parameters, then each run's initial_states.
-class ExtendedFit {
- public:
-  using Scalar = double;
-  enum { NUM_RESIDUALS = Eigen::Dynamic, NUM_PARAMETERS = Eigen::Dynamic };
+/// A model that is simulated, beside its parameters.
+struct SimulatedModel {
+  explicit SimulatedModel(ExtendedParameters values) : parameters(std::move(values)), brake(parameters) {}
+  ExtendedParameters parameters;
+  ExtendedBrake brake;
+};
 
+/// The innovations of any model, as JointFit of the paper's brake.
+class ExtendedFit : public FitOfRuns<ExtendedFit, FitRun, ExtendedRun, Eigen::MatrixXd, Eigen::VectorXd> {
+ public:
   ExtendedFit(std::span<const FitRun> runs, const ExtendedEstimate& start,
               const std::array<bool, kParameterCount>& held, const ThreadBudget& threads = {},
               bool hold_effects = false)
-      : runs_(runs),
-        threads_(threads),
+      : FitOfRuns(runs, threads),
         model_(start.parameters),
         shape_(start.parameters),
-        unknowns_(model_, shape_.places(), held, hold_effects) {
-    parameters_ = unknowns_.count();
-    prior_ = prior_deviations(model_);
-    initial_states_ = 2 + static_cast<int>(shape_.free_states().size());
+        unknowns_(model_, shape_.places(), held, hold_effects),
+        starts_(start.initial_states) {
+    const std::vector<double> prior = prior_deviations(model_);
+    const auto initial_states = static_cast<int>(prior.size());
+    const int parameters = unknowns_.count();
+    set_size(parameters, prior, parameters + initial_states + 1, [&](const FitRun& run, ExtendedRun& linear) {
+      linear.resize(run.size(), shape_.states(), parameters, initial_states);
+    });
     for (int local = 2; const EffectValues& effect : model_.effects) {
       const EffectInfo& info = info_of(*effect.effect);
       for (int i = 0; i < info.free_states; ++i, ++local)
         if (!info.free_states_count) drawn_.push_back(local);
     }
-    centres_ = start.initial_states;
-    CLAMPD_ASSERT(centres_.size() == runs.size());
-    for (Evaluation* evaluation : {&now_, &before_}) {
-      evaluation->runs.resize(runs.size());
-      for (std::size_t r = 0; r < runs.size(); ++r)
-        evaluation->runs[r].resize(runs[r].size(), shape_.states(), parameters_, initial_states_);
-      evaluation->normals.resize(runs.size());
-    }
-    invalidate();
-    longest_first_.resize(runs.size());
-    std::iota(longest_first_.begin(), longest_first_.end(), 0);
-    std::stable_sort(longest_first_.begin(), longest_first_.end(),
-                     [&](std::size_t a, std::size_t b) { return runs[a].size() > runs[b].size(); });
-    starts_ = start.initial_states;
+    CLAMPD_ASSERT(starts_.size() == runs.size());
     for (std::size_t r = 0; r < runs.size(); ++r) {
-      CLAMPD_ASSERT(starts_[r].size() == initial_states_);
+      CLAMPD_ASSERT(starts_[r].size() == initial_states);
       // Free states are near their settled value, wherever the search begins.
-      centres_[r].tail(initial_states_ - 2).setZero();
+      centres_[r].head<2>() = starts_[r].head<2>();
     }
   }
 
-  int NumParameters() const { return parameters_ + initial_states_ * static_cast<int>(runs_.size()); }
-  int NumResiduals() const { return (parameters_ + initial_states_ + 1) * static_cast<int>(runs_.size()); }
+  bool operator()(const double* unknowns, double* residuals, double* jacobian) const {
+    FitOfRuns::operator()(unknowns, residuals, jacobian);
+    if (jacobian == nullptr || !now_.possible) return true;
+    Eigen::Map<Eigen::MatrixXd> columns(jacobian, NumResiduals(), NumParameters());
+    for (const Eigen::Index i : joint_step().held) columns.col(i).setZero();
+    return true;
+  }
+  bool evaluate(const Point& anywhere) const { return FitOfRuns::evaluate(inside(anywhere)); }
 
   Eigen::VectorXd start() const {
     Eigen::VectorXd point(NumParameters());
     for (int i = 0; i < parameters_; ++i) point[i] = unknowns_.from(model_, i);
-    for (std::size_t r = 0; r < runs_.size(); ++r) point.segment(local(r), initial_states_) = starts_[r];
+    for (std::size_t r = 0; r < runs_.size(); ++r) point.segment(first_of(r), initial_states_) = starts_[r];
     return point;
   }
 
-  ExtendedParameters model_at(const Eigen::VectorXd& point) const {
+  ExtendedParameters parameters_at(const Point& point) const {
     ExtendedParameters model = model_;
     for (int i = 0; i < parameters_; ++i) unknowns_.put(point[i], i, model);
     return model;
   }
   std::vector<Eigen::VectorXd> initial_at(const Eigen::VectorXd& point) const {
     std::vector<Eigen::VectorXd> initial;
-    for (std::size_t r = 0; r < runs_.size(); ++r)
-      initial.emplace_back(point.segment(local(r), initial_states_));
+    for (std::size_t r = 0; r < runs_.size(); ++r) initial.push_back(initial_of(point, r));
     return initial;
   }
 
   /// The gains of extended Kalman filters at this point from here on; it is evaluated then.
-  bool linearise_at(const Eigen::VectorXd& point, const Variances& variances) {
+  bool use_innovations(const Point& point, const Variances& variances) {
     invalidate();
-    if (!linearise_at(inside(point), variances, Gains::Renewed)) return false;
+    const auto filter = [&](const SimulatedModel& model, std::size_t r, const Eigen::VectorXd& initial,
+                            ExtendedRun& linear) {
+      return linearise(runs_[r], model.brake, model.parameters, unknowns_, initial, variances, Gains::Renewed,
+                       linear);
+    };
+    if (!linearise_at(inside(point), filter)) return false;
     for (std::size_t r = 0; r < runs_.size(); ++r) {
-      before_.runs[r].gain = now_.runs[r].gain;
-      before_.runs[r].variance = now_.runs[r].variance;
+      before_.linear[r].gain = now_.linear[r].gain;
+      before_.linear[r].variance = now_.linear[r].variance;
     }
     return true;
   }
@@ -128,61 +132,11 @@ class ExtendedFit {
     return point;
   }
 
-  bool evaluate(const Eigen::VectorXd& anywhere) const {
-    const Eigen::VectorXd point = inside(anywhere);
-    if (now_.point.size() == point.size() && point == now_.point) return now_.possible;
-    std::swap(now_, before_);
-    if (now_.point.size() == point.size() && point == now_.point) return now_.possible;
-    return linearise_at(point, {}, Gains::Kept);
-  }
-
-  bool operator()(const double* unknowns, double* residuals, double* jacobian) const {
-    Eigen::Map<Eigen::VectorXd> residual_rows(residuals, NumResiduals());
-    const Eigen::Map<const Eigen::VectorXd> point(unknowns, NumParameters());
-    if (jacobian == nullptr && trying_) {
-      residual_rows.setZero();
-      residual_rows[0] = std::sqrt(std::min(squares_at(point), kImpossible));
-      return true;
-    }
-    if (!evaluate(point)) {
-      residual_rows.setConstant(std::sqrt(kImpossible / NumResiduals()));
-      if (jacobian != nullptr)
-        Eigen::Map<Eigen::MatrixXd>(jacobian, NumResiduals(), NumParameters()).setZero();
-      return true;
-    }
-    residual_rows.setZero();
-    if (jacobian == nullptr) {
-      residual_rows[0] = std::sqrt(sum_of_squares());
-      return true;
-    }
-    Eigen::Map<Eigen::MatrixXd> jacobian_rows(jacobian, NumResiduals(), NumParameters());
-    jacobian_rows.setZero();
-    const int size = parameters_ + initial_states_ + 1;
-    for (std::size_t r = 0; r < runs_.size(); ++r) {
-      const Eigen::MatrixXd factor = semidefinite_factor(now_.normals[r]);
-      const auto first = static_cast<Eigen::Index>(r) * size;
-      jacobian_rows.block(first, 0, size, parameters_) = factor.leftCols(parameters_);
-      jacobian_rows.block(first, local(r), size, initial_states_) =
-          factor.middleCols(parameters_, initial_states_);
-      residual_rows.segment(first, size) = factor.col(size - 1);
-    }
-    for (const Eigen::Index i : joint_step().held) jacobian_rows.col(i).setZero();
-    return true;
-  }
-
-  /// Whether points that are asked for their cost are mostly left again: then that is all that is computed.
-  void try_out(bool mostly) { trying_ = mostly; }
-
-  double sum_of_squares() const {
-    double sum = 0.0;
-    for (const Eigen::MatrixXd& normal : now_.normals) sum += normal(normal.rows() - 1, normal.cols() - 1);
-    return sum;
-  }
   double log_likelihood() const { return log_likelihood(everything()); }
   /// Of the model that has only a part of the initial_states.
   double log_likelihood(const Part& part) const {
     double sum = sum_of_squares();
-    for (const ExtendedRun& run : now_.runs)
+    for (const ExtendedRun& run : now_.linear)
       sum += run.log_determinant + run.readings * std::log(2.0 * std::numbers::pi);
     for (const Eigen::MatrixXd& normal : now_.normals)
       sum += cost_of_drawn_states(normal, part.initial_states);
@@ -190,7 +144,7 @@ class ExtendedFit {
   }
   double readings() const {
     double sum = 0.0;
-    for (const ExtendedRun& run : now_.runs) sum += run.readings;
+    for (const ExtendedRun& run : now_.linear) sum += run.readings;
     return sum;
   }
 
@@ -217,7 +171,6 @@ class ExtendedFit {
     }
     return joint;
   }
-  const Eigen::MatrixXd& normal(std::size_t run) const { return now_.normals[run]; }
 
   /// Gauss-Newton step of a part's parameters within their bounds, the initial_states following: those at a
   /// bound that the others would take beyond stay, and the others go where they then go.
@@ -260,7 +213,7 @@ class ExtendedFit {
     for (int i = 0; i < parameters_; ++i) step[i] = unknowns_.is_logarithmic(i) ? limited(move[i]) : move[i];
     for (std::size_t r = 0; r < runs_.size(); ++r) {
       const Eigen::MatrixXd& normal = now_.normals[r];
-      step.segment(local(r), initial_states_) =
+      step.segment(first_of(r), initial_states_) =
           -statistics::SymmetricFactor(
                normal.block(parameters_, parameters_, initial_states_, initial_states_))
                .solve(normal.block(parameters_, parameters_ + initial_states_, initial_states_, 1) +
@@ -272,11 +225,10 @@ class ExtendedFit {
   Variances estimate_noise(Variances variances, int iterations) {
     std::vector<NoiseSquares> parts(runs_.size());
     for (int i = 0; i < iterations; ++i) {
-      for_each_index(runs_.size(), threads_, [&](std::size_t place) {
-        const std::size_t r = longest_first_[place];
+      for_each_run([&](std::size_t r) {
         std::vector<double> innovation;
-        recompute_gains(runs_[r], variances, now_.runs[r], innovation);
-        parts[r] = smooth(runs_[r], now_.runs[r], innovation, nullptr);
+        recompute_gains(runs_[r], variances, now_.linear[r], innovation);
+        parts[r] = smooth(runs_[r], now_.linear[r], innovation, nullptr);
       });
       NoiseSquares sum;
       for (const NoiseSquares& part : parts) {
@@ -319,66 +271,26 @@ class ExtendedFit {
     return all;
   }
 
-  std::span<const ExtendedRun> linear_runs() const { return now_.runs; }
-  std::vector<ExtendedRun>& mutable_runs() { return now_.runs; }
   const Unknowns& unknowns() const { return unknowns_; }
-  int parameters() const { return parameters_; }
   int all_parameters() const { return shape_.parameters(); }
 
  private:
-  struct Evaluation {
-    std::vector<ExtendedRun> runs;
-    std::vector<Eigen::MatrixXd> normals;  ///< with the priors of the initial states
-    Eigen::VectorXd point;
-    bool possible = false;
-  };
-
-  Eigen::Index local(std::size_t run) const {
-    return parameters_ + initial_states_ * static_cast<Eigen::Index>(run);
+  friend FitOfRuns;
+  bool is_possible(const Point& point) const { return point.allFinite(); }
+  SimulatedModel model_at(const Point& point) const { return SimulatedModel(parameters_at(point)); }
+  bool linearise_run(const SimulatedModel& model, std::size_t r, const Eigen::VectorXd& initial,
+                     ExtendedRun& linear) const {
+    return linearise(runs_[r], model.brake, model.parameters, unknowns_, initial, {}, Gains::Kept, linear);
   }
-
-  void invalidate() {
-    for (Evaluation* evaluation : {&now_, &before_}) {
-      evaluation->point.resize(0);
-      evaluation->possible = false;
-    }
+  const Eigen::MatrixXd& normal_of_run(std::size_t r, ExtendedRun& linear) const {
+    compute_normal(runs_[r], linear);
+    return linear.normal;
   }
-
-  bool linearise_at(const Eigen::VectorXd& point, const Variances& variances, Gains gains) const {
-    now_.point = point;
-    now_.possible = false;
-    if (!point.allFinite()) return false;
-    const ExtendedParameters model = model_at(point);
-    const ExtendedBrake brake(model);
-    now_.possible = for_each_index_while(runs_.size(), threads_, [&](std::size_t place) {
-      const std::size_t r = longest_first_[place];
-      const Eigen::VectorXd initial = point.segment(local(r), initial_states_);
-      if (!linearise(runs_[r], brake, model, unknowns_, initial, variances, gains, now_.runs[r]))
-        return false;
-      compute_normal(runs_[r], now_.runs[r]);
-      Eigen::MatrixXd& normal = now_.normals[r] = now_.runs[r].normal;
-      if (!normal.allFinite()) return false;
-      add_prior(prior_, initial - centres_[r], parameters_, normal);
-      return true;
-    });
-    return now_.possible;
+  double squares_of_run(const SimulatedModel& model, std::size_t r, const Eigen::VectorXd& initial) const {
+    return sum_of_squares_of(runs_[r], model.brake, initial, now_.linear[r]);
   }
-
-  /// What sum_of_squares() is there.
-  double squares_at(const Eigen::VectorXd& point) const {
-    constexpr double kNever = std::numeric_limits<double>::infinity();
-    if (!point.allFinite()) return kNever;
-    const ExtendedParameters model = model_at(point);
-    const ExtendedBrake brake(model);
-    std::vector<double> sum_of_squares(runs_.size());
-    for_each_index(runs_.size(), threads_, [&](std::size_t place) {
-      const std::size_t r = longest_first_[place];
-      const Eigen::VectorXd initial = point.segment(local(r), initial_states_);
-      sum_of_squares[r] = sum_of_squares_of(runs_[r], brake, initial, now_.runs[r]) +
-                          prior_squares(prior_, initial - centres_[r]);
-    });
-    return std::accumulate(sum_of_squares.begin(), sum_of_squares.end(), 0.0);
-  }
+  const Eigen::MatrixXd& normal_by_unknowns(std::size_t r) const { return now_.normals[r]; }
+  int column(int i) const { return i; }
 
   /// Free states that no parameter pays for differ from run to run by their prior: the likelihood is its
   /// average over it (Laplace), or else each of them could follow the noise of its run for nothing.
@@ -400,19 +312,11 @@ class ExtendedFit {
     return statistics::SymmetricFactor(matrix).log_determinant(1e-300);
   }
 
-  std::span<const FitRun> runs_;
-  ThreadBudget threads_;
   ExtendedParameters model_;
   ExtendedBrake shape_;
   Unknowns unknowns_;
-  std::vector<Eigen::VectorXd> starts_, centres_;
-  std::vector<std::size_t> longest_first_;  ///< the runs: no thread is left with one at the end
-  std::vector<double> prior_;
+  std::vector<Eigen::VectorXd> starts_;
   std::vector<int> drawn_;  ///< those of the initial_states that the prior draws for each run
-  int parameters_ = 0;
-  int initial_states_ = 2;
-  bool trying_ = false;
-  mutable Evaluation now_, before_;
 };
 
 Eigen::MatrixXd covariance_of(const ExtendedFit& fit, const ExtendedParameters& model) {
@@ -551,12 +455,12 @@ ExtendedEstimate fit_extended(std::span<const FitRun> runs, const ExtendedEstima
   if (options.estimate_noise)
     variances.torque = std::max(variances.torque, 4.0 * kSmallestTorque_Nm * kSmallestTorque_Nm);
   for (int round = 0; round < kMaxRounds; ++round) {
-    if (!fit.linearise_at(point, variances)) break;
+    if (!fit.use_innovations(point, variances)) break;
     const double likelihood = fit.log_likelihood();
     if (likelihood > estimate.log_likelihood) {
       const double gained = likelihood - estimate.log_likelihood;
       estimate.possible = true;
-      estimate.parameters = fit.model_at(point);
+      estimate.parameters = fit.parameters_at(point);
       estimate.initial_states = fit.initial_at(point);
       estimate.noise = levels_of(variances);
       estimate.log_likelihood = likelihood;
@@ -650,7 +554,7 @@ StepForecast forecast(std::span<const FitRun> runs, const ExtendedEstimate& esti
                       const ThreadBudget& threads) {
   if (!within_bounds(estimate.parameters)) return nothing_foreseen();
   ExtendedFit fit(runs, estimate, {}, threads);
-  if (!fit.linearise_at(fit.start(), variances_of(estimate.noise))) return nothing_foreseen();
+  if (!fit.use_innovations(fit.start(), variances_of(estimate.noise))) return nothing_foreseen();
   return forecast_of(fit, estimate.parameters, fit.everything());
 }
 
@@ -661,7 +565,7 @@ std::vector<StepForecast> forecast_each(std::span<const FitRun> runs, const Exte
   for (const EffectValues& effect : effects) extended = with_effect(extended, effect);
   if (!within_bounds(extended.parameters)) return forecasts;
   ExtendedFit fit(runs, extended, {}, threads);
-  if (!fit.linearise_at(fit.start(), variances_of(estimate.noise))) return forecasts;
+  if (!fit.use_innovations(fit.start(), variances_of(estimate.noise))) return forecasts;
   const ExtendedBrake brake(extended.parameters);
   const auto present = static_cast<int>(estimate.parameters.effects.size());
   Part known;
@@ -688,7 +592,7 @@ Eigen::MatrixXd covariance_over_runs(std::span<const FitRun> runs, const Extende
   constexpr double kLeastLeft = 0.05;  // of the information, without a run that tells nearly everything
   if (runs.size() < kFewestRuns || !estimate.covariance.allFinite()) return estimate.covariance;
   ExtendedFit fit(runs, estimate, {}, threads);
-  if (fit.parameters() == 0 || !fit.linearise_at(fit.start(), variances_of(estimate.noise)))
+  if (fit.parameters() == 0 || !fit.use_innovations(fit.start(), variances_of(estimate.noise)))
     return estimate.covariance;
   const Eigen::MatrixXd information = fit.joint().information;
   const Eigen::VectorXd scale = statistics::deviations_of_diagonal(information);
@@ -723,11 +627,11 @@ std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const Extende
                                      const ThreadBudget& threads) {
   ExtendedFit fit(runs, estimate, {}, threads);
   const Variances variances = variances_of(estimate.noise);
-  if (!fit.linearise_at(fit.start(), variances)) return {};
+  if (!fit.use_innovations(fit.start(), variances)) return {};
   const ExtendedBrake brake(estimate.parameters);
   std::vector<FilteredRun> views(runs.size());
   for_each_index(runs.size(), threads, [&](std::size_t r) {
-    ExtendedRun& linear = fit.mutable_runs()[r];
+    ExtendedRun& linear = fit.linear_runs()[r];
     const FitRun& run = runs[r];
     FilteredRun& view = views[r];
     std::vector<double> innovation;
@@ -773,7 +677,7 @@ std::vector<FilteredRun> filter_runs(std::span<const FitRun> runs, const Extende
 struct SignalScorer::Filtered {
   Filtered(std::span<const FitRun> given, const ExtendedEstimate& estimate, const ThreadBudget& threads)
       : runs(given), model(estimate.parameters), fit(given, estimate, {}, threads) {
-    possible = fit.linearise_at(fit.start(), variances_of(estimate.noise));
+    possible = fit.use_innovations(fit.start(), variances_of(estimate.noise));
     if (!possible) return;
     joint = fit.joint();
     factor = statistics::ScaledFactor(joint.information, 1e-10);

@@ -7,6 +7,7 @@
 
 #include "clampd/base/assert.hpp"
 #include "clampd/statistics/symmetric.hpp"
+#include "src/identify/initial_state_prior.hpp"
 
 namespace clampd::identify {
 
@@ -380,32 +381,13 @@ void compute_normal(const FitRun& run, ExtendedRun& out) {
 }
 
 std::vector<double> prior_deviations(const ExtendedParameters& model) {
-  std::vector<double> deviations{kInitialPositionPrior_rad, kInitialVelocityPrior_rad_s};
+  std::vector<double> deviations(kInitialStatePrior.begin(), kInitialStatePrior.end());
   for (const EffectValues& values : model.effects) {
     const EffectInfo& info = info_of(*values.effect);
     deviations.insert(deviations.end(), static_cast<std::size_t>(info.free_states),
                       info.free_state_deviation);
   }
   return deviations;
-}
-
-double prior_squares(std::span<const double> deviations, const Eigen::VectorXd& distance) {
-  return distance.cwiseQuotient(Eigen::Map<const Eigen::VectorXd>(deviations.data(), distance.size()))
-      .squaredNorm();
-}
-
-void add_prior(std::span<const double> deviations, const Eigen::VectorXd& distance, int parameters,
-               Eigen::MatrixXd& normal) {
-  const Eigen::Index data = normal.rows() - 1;
-  for (Eigen::Index i = 0; i < distance.size(); ++i) {
-    const Eigen::Index at = parameters + i;
-    const double deviation = deviations[static_cast<std::size_t>(i)];
-    const double weight = 1.0 / (deviation * deviation);
-    normal(at, at) += weight;
-    normal(at, data) += weight * distance[i];
-    normal(data, at) += weight * distance[i];
-    normal(data, data) += weight * distance[i] * distance[i];
-  }
 }
 
 Reduced without_initial_states(const Eigen::MatrixXd& normal, int parameters, int initial_states) {

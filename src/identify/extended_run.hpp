@@ -104,14 +104,6 @@ void compute_normal(const FitRun& run, ExtendedRun& out);
 /// Of the weak prior of a run's initial_states: position, velocity, then the effects' free states.
 std::vector<double> prior_deviations(const ExtendedParameters& model);
 
-/// Adds that prior to normal equations of `parameters`, initial_states and the data; `distance` is the
-/// initial_states' from its centre.
-void add_prior(std::span<const double> deviations, const Eigen::VectorXd& distance, int parameters,
-               Eigen::MatrixXd& normal);
-
-/// What it adds to the squares.
-double prior_squares(std::span<const double> deviations, const Eigen::VectorXd& distance);
-
 /// Normal equations of parameters and data when the initial_states follow.
 struct Reduced {
   Eigen::MatrixXd information;

@@ -25,6 +25,10 @@ bool is_logarithmic(int parameter) {
   return parameter != static_cast<int>(k1);
 }
 
+double nominal_of(int parameter) {
+  return kParameterTable[static_cast<std::size_t>(parameter)].nominal;
+}
+
 }  // namespace
 
 bool within_bounds(const ParameterVector& theta) {
@@ -36,63 +40,36 @@ bool within_bounds(const ParameterVector& theta) {
 }
 
 JointFit::JointFit(std::span<const Run> runs, const EstimatorOptions& options)
-    : runs_(runs),
-      options_(options),
-      free_(static_cast<int>(std::count(options.held.begin(), options.held.end(), false))),
-      weights_(runs.size()),
-      guesses_(runs.size(), Eigen::Vector2d::Zero()) {
-  for (Evaluation* evaluation : {&now_, &before_}) {
-    evaluation->linear.resize(runs.size());
-    for (std::size_t r = 0; r < runs.size(); ++r) evaluation->linear[r].resize(runs[r].size());
-    evaluation->normals.resize(runs.size());
-    evaluation->unknowns.resize(NumParameters());
-  }
-  invalidate();
-}
-
-void JointFit::invalidate() {
-  for (Evaluation* evaluation : {&now_, &before_}) {
-    evaluation->unknowns.setConstant(std::numeric_limits<double>::quiet_NaN());
-    evaluation->possible = false;
-  }
+    : FitOfRuns(runs, options.threads), options_(options), weights_(runs.size()) {
+  for (int i = 0; i < kTheta; ++i)
+    if (!options.held[static_cast<std::size_t>(i)]) free_.push_back(i);
+  set_size(static_cast<int>(free_.size()), kInitialStatePrior, kUnknowns + 1,
+           [](const Run& run, LinearRun& linear) { linear.resize(run.size()); });
 }
 
 Eigen::VectorXd JointFit::start_from(const ParameterVector& theta) {
-  for (std::size_t r = 0; r < runs_.size(); ++r) guesses_[r] = initial_state_guess(runs_[r], theta);
+  for (std::size_t r = 0; r < runs_.size(); ++r) centres_[r] = initial_state_guess(runs_[r], theta);
   invalidate();
-  return unknowns_of(theta, guesses_);
+  return unknowns_of(theta, centres_);
 }
 
 Eigen::VectorXd JointFit::unknowns_of(const ParameterVector& theta,
                                       std::span<const Eigen::Vector2d> initial) const {
   Eigen::VectorXd unknowns(NumParameters());
-  Eigen::Index next = 0;
-  for (int i = 0; i < kTheta; ++i) {
-    if (options_.held[static_cast<std::size_t>(i)]) continue;
-    const double normalised = theta[i] / kParameterTable[static_cast<std::size_t>(i)].nominal;
-    unknowns[next++] = is_logarithmic(i) ? std::log(normalised) : normalised;
+  for (int i = 0; i < parameters_; ++i) {
+    const double normalised = theta[column(i)] / nominal_of(column(i));
+    unknowns[i] = is_logarithmic(column(i)) ? std::log(normalised) : normalised;
   }
-  for (const Eigen::Vector2d& state : initial) {
-    unknowns.segment<2>(next) = state;
-    next += 2;
-  }
+  for (std::size_t r = 0; r < runs_.size(); ++r) unknowns.segment<2>(first_of(r)) = initial[r];
   return unknowns;
 }
 
-ParameterVector JointFit::theta_of(const Eigen::VectorXd& unknowns) const {
+ParameterVector JointFit::theta_of(const Point& unknowns) const {
   ParameterVector theta = options_.start.theta;
-  Eigen::Index next = 0;
-  for (int i = 0; i < kTheta; ++i) {
-    if (options_.held[static_cast<std::size_t>(i)]) continue;
-    const double value = unknowns[next++];
-    theta[i] =
-        (is_logarithmic(i) ? std::exp(value) : value) * kParameterTable[static_cast<std::size_t>(i)].nominal;
-  }
+  for (int i = 0; i < parameters_; ++i)
+    theta[column(i)] =
+        (is_logarithmic(column(i)) ? std::exp(unknowns[i]) : unknowns[i]) * nominal_of(column(i));
   return theta;
-}
-
-Eigen::Vector2d JointFit::initial_of(const Eigen::VectorXd& unknowns, std::size_t run) const {
-  return unknowns.segment<2>(free_ + 2 * static_cast<Eigen::Index>(run));
 }
 
 void JointFit::use_output_errors(const Variances& variances) {
@@ -100,41 +77,48 @@ void JointFit::use_output_errors(const Variances& variances) {
   variances_ = variances;
   innovations_ = false;
   if (!rows_hold) invalidate();
-  before_.unknowns.setConstant(std::numeric_limits<double>::quiet_NaN());
-  set_output_error_gains(now_);
-  set_output_error_gains(before_);
-  if (rows_hold) weigh();
+  before_.point.setConstant(std::numeric_limits<double>::quiet_NaN());
+  use_output_error_gains(now_);
+  use_output_error_gains(before_);
+  if (rows_hold) weigh_all();
 }
 
 void JointFit::restore_output_errors() {
-  set_output_error_gains(now_);
-  weigh();
+  use_output_error_gains(now_);
+  weigh_all();
 }
 
-void JointFit::set_output_error_gains(Evaluation& evaluation) {
+void JointFit::use_output_error_gains(Evaluation& evaluation) {
   for (std::size_t r = 0; r < runs_.size(); ++r)
     ignore_torque_noise(variances_, weights_[r], evaluation.linear[r]);
 }
 
-void JointFit::weigh() const {
-  for_each_index(runs_.size(), options_.threads, [&](std::size_t r) {
-    now_.normals[r] = normal_equations(now_.linear[r]);
-    add_initial_state_prior(initial_of(now_.unknowns, r) - guesses_[r], now_.normals[r]);
-  });
+void JointFit::weigh_all() {
+  for_each_run([&](std::size_t r) { weigh(r); });
 }
 
 bool JointFit::use_innovations(const Eigen::VectorXd& unknowns, const Variances& variances) {
-  const BrakeParameters parameters{theta_of(unknowns), options_.start.fixed};
-  const bool possible = for_each_index_while(runs_.size(), options_.threads, [&](std::size_t r) {
-    return extended_kalman_filter(runs_[r], parameters, initial_of(unknowns, r), variances, weights_[r],
-                                  now_.linear[r]);
-  });
-  if (!possible) return false;
-  for (std::size_t r = 0; r < runs_.size(); ++r) before_.linear[r].gains = now_.linear[r].gains;
+  invalidate();
   variances_ = variances;
   innovations_ = true;
-  invalidate();
+  const auto filter = [&](const BrakeParameters& parameters, std::size_t r, const Eigen::Vector2d& initial,
+                          LinearRun& linear) {
+    return extended_kalman_filter(runs_[r], parameters, initial, variances, weights_[r], linear);
+  };
+  if (!linearise_at(unknowns, filter)) return false;
+  for (std::size_t r = 0; r < runs_.size(); ++r) before_.linear[r].gains = now_.linear[r].gains;
   return true;
+}
+
+Normal JointFit::normal_by_unknowns(std::size_t r) const {
+  Normal normal = now_.normals[r];
+  for (int i = 0; i < parameters_; ++i) {
+    if (!is_logarithmic(column(i))) continue;
+    const double normalised = std::exp(now_.point[i]);
+    normal.row(column(i)) *= normalised;
+    normal.col(column(i)) *= normalised;
+  }
+  return normal;
 }
 
 double JointFit::update_weights() {
@@ -162,80 +146,19 @@ double JointFit::update_weights() {
   return change;
 }
 
-bool JointFit::evaluate(const Eigen::VectorXd& unknowns) const {
-  return evaluate(unknowns.data());
-}
-
-bool JointFit::evaluate(const double* unknowns) const {
-  const Eigen::Map<const Eigen::VectorXd> point(unknowns, NumParameters());
-  if (point == now_.unknowns) return now_.possible;
-  std::swap(now_, before_);
-  if (point == now_.unknowns) return now_.possible;
-  now_.unknowns = point;
-  now_.possible = false;
-  const BrakeParameters parameters{theta_of(now_.unknowns), options_.start.fixed};
-  if (!within_bounds(parameters.theta)) return false;
-  now_.normalised = parameters.theta.cwiseQuotient(nominal_parameters());
-  const bool possible = for_each_index_while(runs_.size(), options_.threads, [&](std::size_t r) {
-    const Eigen::Vector2d initial = initial_of(now_.unknowns, r);
-    return innovations_ ? linearise_with_gains(runs_[r], parameters, initial, now_.linear[r])
-                        : linearise(runs_[r], parameters, initial, now_.linear[r]);
-  });
-  if (!possible) return false;
-  weigh();
-  now_.possible = true;
-  return true;
-}
-
 bool JointFit::is_within_reach(const double* unknowns) const {
-  if (anchor_.size() == 0) return true;
-  Eigen::Index next = 0;
-  for (int i = 0; i < kTheta; ++i) {
-    if (options_.held[static_cast<std::size_t>(i)]) continue;
-    if (is_logarithmic(i) && !(std::abs(unknowns[next] - anchor_[next]) <= kReach)) return false;
-    ++next;
-  }
+  for (int i = 0; i < parameters_ && anchor_.size() > 0; ++i)
+    if (is_logarithmic(column(i)) && !(std::abs(unknowns[i] - anchor_[i]) <= kReach)) return false;
   return true;
 }
 
 bool JointFit::operator()(const double* unknowns, double* residuals, double* jacobian) const {
-  Eigen::Map<Eigen::VectorXd> residual_rows(residuals, NumResiduals());
-  if (!is_within_reach(unknowns) || !evaluate(unknowns)) {
-    residual_rows.setConstant(std::sqrt(kImpossible / NumResiduals()));
-    if (jacobian != nullptr) Eigen::Map<Eigen::MatrixXd>(jacobian, NumResiduals(), NumParameters()).setZero();
+  if (jacobian == nullptr && !is_within_reach(unknowns)) {
+    Eigen::Map<Eigen::VectorXd>(residuals, NumResiduals())
+        .setConstant(std::sqrt(kImpossible / NumResiduals()));
     return true;
   }
-  if (jacobian == nullptr) {
-    residual_rows.setZero();
-    residual_rows[0] = std::sqrt(sum_of_squares());
-    return true;
-  }
-  Eigen::Map<Eigen::MatrixXd> jacobian_rows(jacobian, NumResiduals(), NumParameters());
-  jacobian_rows.setZero();
-  for (std::size_t r = 0; r < runs_.size(); ++r) {
-    Normal normal = now_.normals[r];
-    for (int i = 0; i < kTheta; ++i) {
-      if (!is_logarithmic(i)) continue;
-      normal.row(i) *= now_.normalised[i];
-      normal.col(i) *= now_.normalised[i];
-    }
-    const Normal factor = semidefinite_factor(normal);
-    const auto row = static_cast<Eigen::Index>(r) * (kUnknowns + 1);
-    Eigen::Index column = 0;
-    for (int i = 0; i < kTheta; ++i)
-      if (!options_.held[static_cast<std::size_t>(i)])
-        jacobian_rows.block<kUnknowns + 1, 1>(row, column++) = factor.col(i);
-    jacobian_rows.block<kUnknowns + 1, 2>(row, free_ + 2 * static_cast<Eigen::Index>(r)) =
-        factor.middleCols<2>(kTheta);
-    residual_rows.segment<kUnknowns + 1>(row) = factor.col(kDataColumn);
-  }
-  return true;
-}
-
-double JointFit::sum_of_squares() const {
-  double sum = 0.0;
-  for (const Normal& normal : now_.normals) sum += normal(kDataColumn, kDataColumn);
-  return sum;
+  return FitOfRuns::operator()(unknowns, residuals, jacobian);
 }
 
 double JointFit::log_likelihood() const {
@@ -255,16 +178,15 @@ double JointFit::expected_decrease() const {
 void JointFit::gauss_newton_step(Eigen::VectorXd& step) const {
   const JointNormal joint = joint_normal(options_.held);
   const ParameterVector theta = step_to_minimum(joint);
-  Eigen::Index next = 0;
-  for (int i = 0; i < kTheta; ++i) {
-    if (options_.held[static_cast<std::size_t>(i)]) continue;
-    step[next++] = is_logarithmic(i) ? std::clamp(theta[i] / now_.normalised[i], -0.5, 0.5) : theta[i];
+  for (int i = 0; i < parameters_; ++i) {
+    const double move = theta[column(i)];
+    step[i] = is_logarithmic(column(i)) ? std::clamp(move / std::exp(now_.point[i]), -0.5, 0.5) : move;
   }
-  for (const Normal& normal : now_.normals) {
-    step.segment<2>(next) =
+  for (std::size_t r = 0; r < runs_.size(); ++r) {
+    const Normal& normal = now_.normals[r];
+    step.segment<2>(first_of(r)) =
         -elimination(normal).transpose() * theta -
         normal.block<2, 2>(kTheta, kTheta).inverse() * normal.block<2, 1>(kTheta, kDataColumn);
-    next += 2;
   }
 }
 
@@ -318,8 +240,7 @@ bool JointFit::white() const {
 
 std::vector<Eigen::Vector2d> JointFit::prior_distances() const {
   std::vector<Eigen::Vector2d> distances;
-  for (std::size_t r = 0; r < runs_.size(); ++r)
-    distances.push_back(initial_of(now_.unknowns, r) - guesses_[r]);
+  for (std::size_t r = 0; r < runs_.size(); ++r) distances.push_back(prior_distance(r));
   return distances;
 }
 

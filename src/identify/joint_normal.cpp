@@ -5,17 +5,6 @@
 
 namespace clampd::identify {
 
-void add_initial_state_prior(const Eigen::Vector2d& distance, Normal& normal) noexcept {
-  const double deviation[2] = {kInitialPositionPrior_rad, kInitialVelocityPrior_rad_s};
-  for (int i = 0; i < 2; ++i) {
-    const double weight = 1.0 / (deviation[i] * deviation[i]);
-    normal(kTheta + i, kTheta + i) += weight;
-    normal(kTheta + i, kDataColumn) += weight * distance[i];
-    normal(kDataColumn, kTheta + i) += weight * distance[i];
-    normal(kDataColumn, kDataColumn) += weight * distance[i] * distance[i];
-  }
-}
-
 Eigen::Matrix<double, kTheta, 2> elimination(const Normal& normal) noexcept {
   return normal.block<kTheta, 2>(0, kTheta) * normal.block<2, 2>(kTheta, kTheta).inverse();
 }

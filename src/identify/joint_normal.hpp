@@ -10,10 +10,6 @@ namespace clampd::identify {
 
 using Held = std::array<bool, kParameterCount>;
 
-/// Adds the weak prior of a run's initial state (kInitial...Prior) whose unknowns are `distance` from its
-/// centre.
-void add_initial_state_prior(const Eigen::Vector2d& distance, Normal& normal) noexcept;
-
 /// The normal equations of several runs with every run's initial state eliminated.
 struct JointNormal {
   ParameterMatrix information = ParameterMatrix::Zero();  ///< unit rows and columns for held parameters

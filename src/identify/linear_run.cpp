@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "clampd/base/assert.hpp"
 
@@ -156,6 +157,29 @@ bool extended_kalman_filter(const Run& run, const BrakeParameters& parameters, c
         return Eigen::Vector2d(out.gains[k].gain * row.residual);
       },
       [&](std::size_t, const LinearRow& row) { predicted = propagate(row, filtered, variances.torque); });
+}
+
+double sum_of_squares_of(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+                         const std::vector<RowGain>& gains) noexcept {
+  constexpr double kNever = std::numeric_limits<double>::infinity();
+  const PaperBrake model = paper_brake(parameters);
+  BrakeState state = initial;
+  double squares = 0.0;
+  for (std::size_t k = 0; k < run.size(); ++k) {
+    if (!is_bounded(state)) return kNever;
+    const Reading reading = model.read(state);
+    const Eigen::Vector2d residual(run.force_N[k] - reading.force_N,
+                                   run.velocity_rad_s[k] - reading.velocity_rad_s);
+    squares += residual.dot(gains[k].weight * residual);
+    if (k + 1 == run.size()) break;
+    state += gains[k].gain * residual;
+    if (!is_bounded(state)) return kNever;
+    const double gap_s = run.time_s[k + 1] - run.time_s[k];
+    const int steps = steps_in(gap_s);
+    for (int i = 0; i < steps && is_bounded(state); ++i)
+      state = advance(model, state, run.torque_Nm[k], gap_s / steps);
+  }
+  return squares;
 }
 
 void update_gains(const Variances& variances, const ReadingWeights& weights, LinearRun& run) noexcept {

@@ -100,6 +100,12 @@ bool extended_kalman_filter(const Run& run, const BrakeParameters& parameters, c
                             const Variances& variances, const ReadingWeights& weights,
                             LinearRun& out) noexcept;
 
+/// The innovations' squares under gains found before: the last element of normal_equations() once the run is
+/// linearised with them, without the derivatives and for a small part of the time. Infinite where the state
+/// leaves all bounds.
+double sum_of_squares_of(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
+                         const std::vector<RowGain>& gains) noexcept;
+
 /// Rows fixed, gains and log determinant anew for these variances.
 void update_gains(const Variances& variances, const ReadingWeights& weights, LinearRun& run) noexcept;
 

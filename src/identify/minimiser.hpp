@@ -59,9 +59,9 @@ struct Descent {
 };
 
 /// Minimises a fit from `unknowns` by ceres::TinySolver, whose functor the fit is; besides, it tells
-/// sum_of_squares(), expected_decrease() and gauss_newton_step() at the point evaluated last; if it has a
-/// try_out(), that says whether most points will be left again; if it has an inside(), that is where the
-/// unknowns stay; if it has a stay_near(), it is told where each solve begins.
+/// sum_of_squares(), expected_decrease() and gauss_newton_step() at the point evaluated last, and is told by
+/// try_out() whether most points will be left again; if it has an inside(), that is where the unknowns stay;
+/// if it has a stay_near(), it is told where each solve begins.
 template <class Fit>
 class MinimiserOf {
  public:
@@ -96,7 +96,7 @@ Descent MinimiserOf<Fit>::descend(Fit& fit, Eigen::VectorXd& unknowns, int max_i
         std::min(stalled ? minimiser::kRoundIterations : 1, max_iterations - descent.iterations);
     solver_.options.max_num_iterations = 1 + steps;
     solver_.options.initial_trust_region_radius = stalled ? minimiser::kShorter : minimiser::kGaussNewton;
-    if constexpr (requires { fit.try_out(true); }) fit.try_out(has_stalled);
+    fit.try_out(has_stalled);
     if constexpr (requires { fit.stay_near(unknowns); }) fit.stay_near(unknowns);
     solver_.Solve(fit, &unknowns);
     if constexpr (requires { fit.inside(unknowns); }) unknowns = fit.inside(unknowns);

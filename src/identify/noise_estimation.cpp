@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "clampd/statistics/symmetric.hpp"
+#include "src/identify/initial_state_prior.hpp"
 #include "src/identify/starting_point.hpp"
 
 namespace clampd::identify {
@@ -22,8 +23,9 @@ constexpr int kMaxHalvings = 6;
 
 /// A faint pull of the torque's variance away from zero, as by a prior proportional to its power: where the
 /// data hardly tell it, the likelihood's maximum is at zero in half of all cases, and the parameters'
-/// uncertainty would then be many times too small. Where they tell it, this does not show. Sized by coverage (estimation_campaign): with
-/// 0.1, value ± 1.96 sd of single runs held the truth in up to 98.5 %, with 0.03 in 94.6 to 96.4 %.
+/// uncertainty would then be many times too small. Where they tell it, this does not show. Sized by coverage
+/// (estimation_campaign): with 0.1, value ± 1.96 sd of single runs held the truth in up to 98.5 %, with 0.03
+/// in 94.6 to 96.4 %.
 constexpr double kAwayFromZero = 0.03;
 
 /// Of each variance. Torque noise of 0.01 mN m moves nothing.
@@ -63,7 +65,7 @@ double restricted_likelihood(std::span<LinearRun> runs, std::span<const ReadingW
   for (std::size_t r = 0; r < runs.size(); ++r) {
     update_gains(variances, weights[r], runs[r]);
     normals[r] = normal_equations(runs[r]);
-    add_initial_state_prior(prior_distances[r], normals[r]);
+    add_prior(kInitialStatePrior, prior_distances[r], normals[r]);
     sum += runs[r].log_determinant;
   }
   const JointNormal joint = eliminate_initial_states(normals, held);

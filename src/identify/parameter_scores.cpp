@@ -4,6 +4,7 @@
 
 #include "clampd/base/assert.hpp"
 #include "src/identify/extended_run.hpp"
+#include "src/identify/initial_state_prior.hpp"
 
 namespace clampd {
 
@@ -31,7 +32,7 @@ ParameterScores score_parameters(std::span<const FitRun> runs, const ExtendedEst
     scores.largest_innovation =
         std::max(scores.largest_innovation, linear.innovations.row(p + initial_states).cwiseAbs().maxCoeff());
     // What the initial state may answer, within its prior, does not count.
-    add_prior(prior, Eigen::VectorXd::Zero(initial_states), p, linear.normal);
+    add_prior(prior, Eigen::VectorXd::Zero(initial_states).eval(), linear.normal);
     const Reduced reduced = without_initial_states(linear.normal, p, initial_states);
     scores.information += reduced.information;
     scores.gradient -= reduced.gradient;

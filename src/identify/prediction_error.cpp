@@ -160,8 +160,7 @@ Estimate prediction_error_estimate(OutputErrorSearch& output_errors, std::span<c
     }
   }
   estimate.iterations = output_errors.iterations() - before + search.iterations();
-  if (!std::isfinite(best.criterion) || !fit.use_innovations(best.unknowns, best.variances) ||
-      !fit.evaluate(best.unknowns))
+  if (!std::isfinite(best.criterion) || !fit.use_innovations(best.unknowns, best.variances))
     estimate.message =
         "the Kalman filter cannot follow the runs from any start: it diverges under their torque";
   else

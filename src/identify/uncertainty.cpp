@@ -27,7 +27,7 @@ Eigen::Matrix<double, kUnknowns, 1> curvature_score(const JointFit& fit, std::si
   for (const double sign : {1.0, -1.0}) {
     std::vector<double> torque = run.torque_Nm;
     for (std::size_t k = 0; k < torque.size(); ++k) torque[k] += sign * draw[k];
-    simulate(fit.parameters(), fit.initial(r), Excitation{.torque_Nm = torque, .time_s = run.time_s},
+    simulate(fit.brake(), fit.initial(r), Excitation{.torque_Nm = torque, .time_s = run.time_s},
              simulation);
     if (!simulation.complete()) return Eigen::Matrix<double, kUnknowns, 1>::Zero();
     for (std::size_t k = 0; k < run.size(); ++k) {

@@ -3,6 +3,7 @@
 #include "src/identify/linear_run.hpp"
 
 #include <cmath>
+#include <limits>
 
 #include <gtest/gtest.h>
 #include <Eigen/Dense>
@@ -143,6 +144,27 @@ ReadingWeights unequal_weights(std::size_t rows) {
     weights.velocity.push_back(k % 5 == 1 ? 0.35 : 1.0);
   }
   return weights;
+}
+
+TEST(LinearRun, TheCostWithoutDerivativesIsThatOfTheNormalEquations) {
+  const BrakeParameters brake = support::unlike_nominal();
+  const BrakeState initial(-0.7, 0.4);
+  const clampd::Run whole = stretch(100, 120, initial, 5);
+  clampd::Run sparse;
+  with_gaps(whole, sparse);
+  const ReadingWeights weights = unequal_weights(sparse.size());
+  LinearRun linear = linearised(sparse, brake, initial);
+  ignore_torque_noise(variances_of(kNoise), weights, linear);
+  const double of_output_errors = normal_equations(linear)(kDataColumn, kDataColumn);
+  EXPECT_NEAR(sum_of_squares_of(sparse, brake, initial, linear.gains) / of_output_errors, 1.0, 1e-12);
+
+  ASSERT_TRUE(extended_kalman_filter(sparse, brake, initial, variances_of(kNoise), weights, linear));
+  const double of_innovations = normal_equations(linear)(kDataColumn, kDataColumn);
+  EXPECT_GT(of_output_errors, 1.5 * of_innovations);
+  EXPECT_NEAR(sum_of_squares_of(sparse, brake, initial, linear.gains) / of_innovations, 1.0, 1e-12);
+
+  EXPECT_EQ(sum_of_squares_of(sparse, brake, {0.0, 2.0 * kDivergedVelocity_rad_s}, linear.gains),
+            std::numeric_limits<double>::infinity());
 }
 
 TEST(LinearRun, RowsChainToTheSimulationsSensitivities) {
