@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <concepts>
 #include <limits>
 
 #include "clampd/base/assert.hpp"
@@ -202,6 +203,42 @@ void ignore_torque_noise(const Variances& variances, const ReadingWeights& weigh
   }
 }
 
+namespace {
+
+/// Those parameters that the force reading depends on; beside them it depends on the position only, and the
+/// velocity reading on nothing but the velocity, which it is (6).
+constexpr int kStiffness = PaperBrake::Stiffness::kParameters;
+static_assert(std::same_as<PaperBrake,
+                           BrakeModel<PolynomialStiffness, StribeckFriction, IdealActuator, IdealReadings>>);
+
+/// The sum of left right^T over the columns where it is symmetric: the lower triangle, two of its columns at
+/// a time, which stay in the processor's registers.
+template <int kFirst = 0, class Left, class Right>
+void sum_lower_triangle(const Left& left, const Right& right, Normal& sum) {
+  constexpr int kRows = kUnknowns + 1 - kFirst;
+  using Column = Eigen::Matrix<double, kRows, 1>;
+  Column first = Column::Zero();
+  Column second = Column::Zero();
+  for (Eigen::Index k = 0; k < left.cols(); ++k) {
+    const auto rows = left.col(k).template tail<kRows>();
+    first += right(kFirst, k) * rows;
+    second += right(kFirst + 1, k) * rows;
+  }
+  sum.col(kFirst).template tail<kRows>() = first;
+  sum.col(kFirst + 1).template tail<kRows>() = second;
+  if constexpr (kRows > 2) sum_lower_triangle<kFirst + 2>(left, right, sum);
+}
+
+template <class Left, class Right>
+Normal symmetric_product(const Left& left, const Right& right) {
+  Normal sum;
+  sum_lower_triangle(left, right, sum);
+  sum.triangularView<Eigen::StrictlyUpper>() = sum.transpose();
+  return sum;
+}
+
+}  // namespace
+
 Normal normal_equations(LinearRun& run) noexcept {
   // Derivatives of the state's distance from the reference by the unknowns; last row: that distance itself.
   // Transposed, so that the unknowns lie side by side in memory.
@@ -210,18 +247,21 @@ Normal normal_equations(LinearRun& run) noexcept {
   for (std::size_t k = 0; k < run.rows.size(); ++k) {
     const LinearRow& row = run.rows[k];
     const RowGain& gain = run.gains[k];
-    Columns innovation = -distance.lazyProduct(row.by_state.transpose());
-    innovation.topRows<kTheta>() -= row.by_parameter.transpose();
+    Columns innovation;
+    innovation.col(0) = -row.by_state(0, 0) * distance.col(0);
+    innovation.col(1) = -distance.col(1);
+    innovation.col(0).head<kStiffness>() -= row.by_parameter.row(0).head<kStiffness>().transpose();
     innovation.row(kDataColumn) += row.residual.transpose();
     const auto at = static_cast<Eigen::Index>(2 * k);
     run.innovations.middleCols<2>(at) = innovation;
     run.weighted_innovations.middleCols<2>(at).noalias() = innovation.lazyProduct(gain.weight);
-    Columns corrected = distance + innovation.lazyProduct(gain.gain.transpose());
-    corrected.row(kDataColumn) -= row.correction.transpose();
-    distance.noalias() = corrected.lazyProduct(row.transition.transpose());
+    if (!(gain.gain.array() == 0.0).all())
+      distance.noalias() += innovation.lazyProduct(gain.gain.transpose());
+    distance.row(kDataColumn) -= row.correction.transpose();
+    distance = distance.lazyProduct(row.transition.transpose()).eval();
     distance.topRows<kTheta>() += row.step_by_parameter.transpose();
   }
-  return run.innovations * run.weighted_innovations.transpose();
+  return symmetric_product(run.innovations, run.weighted_innovations);
 }
 
 ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<double, kUnknowns, 1>& step,
@@ -233,6 +273,7 @@ ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<do
   auto force = run.scores.leftCols(size);
   auto velocity = run.scores.middleCols(size, size);
   auto torque = run.scores.rightCols(2 * size);
+  Eigen::Index torques = 0;
   // Of the state at the row after: derivatives of the later rows' products, and their expected square.
   Columns later = Columns::Zero();
   Eigen::Matrix2d later_square = Eigen::Matrix2d::Zero();
@@ -240,7 +281,10 @@ ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<do
     const LinearRow& row = run.rows[k];
     const RowGain& gain = run.gains[k];
     const auto at = static_cast<Eigen::Index>(k);
-    torque.middleCols<2>(2 * at).noalias() = later.lazyProduct(row.torque_root);
+    torque.col(torques++).noalias() = later.lazyProduct(row.torque_root.col(0));
+    // A step alone moves the state in one direction.
+    if (row.torque_root(1, 1) != 0.0)
+      torque.col(torques++).noalias() = later.lazyProduct(row.torque_root.col(1));
     moments.torque_trace += (row.torque_covariance.array() * later_square.array()).sum();
 
     const Columns through = later.lazyProduct(row.transition);
@@ -262,9 +306,9 @@ ScoreMoments score_moments(const ReadingWeights& weights, const Eigen::Matrix<do
     later_square =
         row.by_state.transpose() * gain.weight * row.by_state + remaining.transpose() * square * remaining;
   }
-  moments.force = force * force.transpose();
-  moments.velocity = velocity * velocity.transpose();
-  moments.torque = torque * torque.transpose();
+  moments.force = symmetric_product(force, force);
+  moments.velocity = symmetric_product(velocity, velocity);
+  moments.torque = symmetric_product(torque.leftCols(torques), torque.leftCols(torques));
   return moments;
 }
 

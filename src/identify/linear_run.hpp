@@ -81,7 +81,7 @@ struct LinearRun {
   /// By normal_equations(): [J e] and W [J e], two columns a row (force, velocity).
   ColumnList innovations;
   ColumnList weighted_innovations;
-  ColumnList scores;  ///< by score_moments(): of all forces, all velocities, all torques (two each)
+  ColumnList scores;  ///< by score_moments(): of all forces, all velocities, all torques (up to two each)
   std::vector<Disturbance> disturbances;  ///< by score_moments()
   double log_determinant = 0.0;           ///< sum of log det S
 };
