@@ -7,7 +7,8 @@
 
 #include "clampd/statistics/distributions.hpp"
 #include "clampd/statistics/symmetric.hpp"
-#include "src/identify/extended_run.hpp"
+#include "src/identify/initial_state_prior.hpp"
+#include "src/identify/joint_fit.hpp"
 
 namespace clampd {
 
@@ -28,41 +29,41 @@ struct RepeatView {
   Eigen::MatrixXd by_tare;   ///< by an offset of the force and of the velocity readings
 };
 
-std::optional<RepeatView> view_of(const FitRun& run, const ExtendedParameters& model,
-                                  const Eigen::VectorXd& initial, const NoiseLevels& noise,
-                                  const std::array<bool, kParameterCount>& held) {
-  const ExtendedBrake brake(model);
-  const Unknowns unknowns(model, brake.places(), held, false);
-  const int p = unknowns.count();
-  const std::vector<double> prior = prior_deviations(model);
-  const auto initial_states = static_cast<int>(prior.size());
-  ExtendedRun linear;
-  linear.resize(run.size(), brake.states(), p, initial_states);
-  if (!linearise(run, brake, model, unknowns, initial, variances_of(noise), Gains::Renewed, linear))
-    return std::nullopt;
-  compute_normal(run, linear);
+/// L of L^T L = weight, lower triangular: residuals times L^T are white, the force's first.
+Eigen::Matrix2d whitening(const Eigen::Matrix2d& weight) {
+  Eigen::Matrix2d lower = Eigen::Matrix2d::Zero();
+  lower(1, 1) = std::sqrt(weight(1, 1));
+  lower(1, 0) = weight(1, 0) / lower(1, 1);
+  lower(0, 0) = std::sqrt(weight(0, 0) - lower(1, 0) * lower(1, 0));
+  return lower;
+}
+
+std::optional<RepeatView> view_of(const Run& run, const BrakeParameters& parameters,
+                                  const BrakeState& initial, const NoiseLevels& noise, const Held& held) {
+  LinearRun linear;
+  linear.resize(run.size());
+  if (!extended_kalman_filter(run, parameters, initial, variances_of(noise), {}, linear)) return std::nullopt;
+  normal_equations(linear);
   if (!linear.innovations.allFinite()) return std::nullopt;
-  const Eigen::Index rows = linear.innovations.cols();
-  const auto ones = Eigen::MatrixXd::Ones(static_cast<Eigen::Index>(run.size()), 1);
-  Eigen::MatrixXd all(p + 3, rows);
-  all.topRows(p) = linear.innovations.topRows(p);
-  all.row(p) = filter_signals(run, linear, SignalColumns::Kind::ForceReading, ones, model);
-  all.row(p + 1) = filter_signals(run, linear, SignalColumns::Kind::VelocityReading, ones, model);
-  all.row(p + 2) = linear.innovations.row(p + initial_states);
-  const Eigen::MatrixXd of_start = linear.innovations.middleRows(p, initial_states);
-  Eigen::MatrixXd normal = of_start * of_start.transpose();
-  for (int i = 0; i < initial_states; ++i)
-    normal(i, i) += 1.0 / (prior[static_cast<std::size_t>(i)] * prior[static_cast<std::size_t>(i)]);
-  all -= (all * of_start.transpose()) * statistics::SymmetricFactor(normal).solve_columns(of_start);
-  RepeatView view;
-  view.by_theta.setZero(static_cast<Eigen::Index>(kParameterCount), rows);
-  for (int i = 0; i < p; ++i) {
-    const int k = unknowns.parameter(i);
-    view.by_theta.row(k) =
-        all.row(i) * (kParameterTable[static_cast<std::size_t>(k)].nominal / unknowns.slope(model, i));
+  Eigen::Matrix<double, kUnknowns + 3, Eigen::Dynamic> all(kUnknowns + 3, linear.innovations.cols());
+  Eigen::Matrix2d state_by_tare = Eigen::Matrix2d::Zero();
+  for (std::size_t k = 0; k < run.size(); ++k) {
+    const LinearRow& row = linear.rows[k];
+    const RowGain& gain = linear.gains[k];
+    const auto at = static_cast<Eigen::Index>(2 * k);
+    const Eigen::Matrix2d by_tare = Eigen::Matrix2d::Identity() - row.by_state * state_by_tare;
+    auto columns = all.middleCols<2>(at);
+    columns << linear.innovations.middleCols<2>(at), by_tare.transpose();
+    columns *= whitening(gain.weight).transpose().eval();
+    state_by_tare = row.transition * (state_by_tare + gain.gain * by_tare).eval();
   }
-  view.by_tare = all.middleRows(p, 2);
-  view.residual = all.row(p + 2).transpose();
+  const Eigen::MatrixXd of_start = all.middleRows<2>(kTheta);
+  Eigen::MatrixXd normal = of_start * of_start.transpose();
+  for (int i = 0; i < 2; ++i) normal(i, i) += 1.0 / (kInitialStatePrior[i] * kInitialStatePrior[i]);
+  all -= (all * of_start.transpose()) * statistics::SymmetricFactor(normal).solve_columns(of_start);
+  RepeatView view{all.row(kDataColumn).transpose(), all.topRows<kTheta>(), all.bottomRows<2>()};
+  for (int i = 0; i < kTheta; ++i)
+    if (held[static_cast<std::size_t>(i)]) view.by_theta.row(i).setZero();
   return view;
 }
 
@@ -117,25 +118,22 @@ SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& jo
     return misfit;
   if (std::any_of(runs.begin(), runs.end(), [&](const Run& run) { return run.size() != runs[0].size(); }))
     return misfit;
-  std::array<bool, kParameterCount> held{};
+  Held held{};
   for (std::size_t i = 0; i < kParameterCount; ++i) {
     const auto k = static_cast<Eigen::Index>(i);
     held[i] = joint.covariance_normalised(k, k) == 0.0;
   }
-  ExtendedParameters model;
-  model.base = joint.parameters;
   const NoiseLevels noise{{joint.noise_force_N, joint.noise_velocity_rad_s},
                           joint.method == Method::PredictionError ? joint.noise_torque_Nm : 0.0};
-  if (!within_bounds(model)) return misfit;
+  if (!within_bounds(joint.parameters.theta)) return misfit;
 
-  const std::vector<FitRun> fits = fit_runs(runs);
   const auto repeats = static_cast<Eigen::Index>(runs.size());
   const auto readings = static_cast<Eigen::Index>(2 * runs[0].size());
   Eigen::MatrixXd residuals(readings, repeats);
   Eigen::MatrixXd by_theta = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(kParameterCount), readings);
   Eigen::MatrixXd by_tare = Eigen::MatrixXd::Zero(2, readings);
-  for (std::size_t r = 0; r < fits.size(); ++r) {
-    const auto view = view_of(fits[r], model, joint.initial_states[r], noise, held);
+  for (std::size_t r = 0; r < runs.size(); ++r) {
+    const auto view = view_of(runs[r], joint.parameters, joint.initial_states[r], noise, held);
     if (!view) return misfit;
     residuals.col(static_cast<Eigen::Index>(r)) = view->residual;
     by_theta += view->by_theta / static_cast<double>(repeats);
