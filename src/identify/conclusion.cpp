@@ -225,13 +225,14 @@ void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& v
 
   // What the data do not determine is set aside, one parameter after the other, until the rest stands.
   Held held = options.held;
-  Uncertainty uncertainty = uncertainty_of(fit, variances, held);
+  const std::vector<ScoreMoments> moments = score_moments_of(fit);
+  Uncertainty uncertainty = uncertainty_of(fit, moments, variances, held);
   std::string unknown;
   while (const auto parameter = undetermined(uncertainty, estimate.parameters.theta, held)) {
     unknown += fmt::format("{}{}", unknown.empty() ? "" : ", ", kParameterTable[*parameter].name);
     held[*parameter] = true;
     if (std::find(held.begin(), held.end(), false) == held.end()) break;
-    uncertainty = uncertainty_of(fit, variances, held);
+    uncertainty = uncertainty_of(fit, moments, variances, held);
   }
   if (!unknown.empty()) {
     for (int i = 0; i < kTheta; ++i)
@@ -242,6 +243,7 @@ void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& v
         fmt::format("not identifiable from these data: {}; excite the brake more, or hold what is known",
                     unknown));
   }
+  add_curvature_bias(fit, variances, held, uncertainty);
   const std::size_t runs = fit.linear_runs().size();
   const bool is_scatter_known = runs >= identify::kFewestRunsForScatter;
   estimate.runs_agree_p = runs_agree_p(uncertainty, options.held, runs);

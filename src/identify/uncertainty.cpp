@@ -27,8 +27,7 @@ Eigen::Matrix<double, kUnknowns, 1> curvature_score(const JointFit& fit, std::si
   for (const double sign : {1.0, -1.0}) {
     std::vector<double> torque = run.torque_Nm;
     for (std::size_t k = 0; k < torque.size(); ++k) torque[k] += sign * draw[k];
-    simulate(fit.brake(), fit.initial(r), Excitation{.torque_Nm = torque, .time_s = run.time_s},
-             simulation);
+    simulate(fit.brake(), fit.initial(r), Excitation{.torque_Nm = torque, .time_s = run.time_s}, simulation);
     if (!simulation.complete()) return Eigen::Matrix<double, kUnknowns, 1>::Zero();
     for (std::size_t k = 0; k < run.size(); ++k) {
       const auto at = static_cast<Eigen::Index>(2 * k);
@@ -41,65 +40,78 @@ Eigen::Matrix<double, kUnknowns, 1> curvature_score(const JointFit& fit, std::si
   return (linear.weighted_innovations * shift).head<kUnknowns>();
 }
 
-void clear_held(const Held& held, ParameterMatrix& matrix) {
+/// Zero for what is held.
+ParameterMatrix inverse_of(const ParameterMatrix& information, const Held& held) {
+  ParameterMatrix inverse = cramer_rao(information);
   for (int i = 0; i < kTheta; ++i) {
     if (!held[static_cast<std::size_t>(i)]) continue;
-    matrix.row(i).setZero();
-    matrix.col(i).setZero();
+    inverse.row(i).setZero();
+    inverse.col(i).setZero();
   }
+  return inverse;
 }
 
 }  // namespace
 
-Uncertainty uncertainty_of(JointFit& fit, const Variances& variances, const Held& held) {
+std::vector<ScoreMoments> score_moments_of(JointFit& fit) {
+  std::vector<ScoreMoments> moments;
+  for (std::size_t r = 0; r < fit.linear_runs().size(); ++r)
+    moments.push_back(
+        score_moments(fit.weights()[r], Eigen::Matrix<double, kUnknowns, 1>::Zero(), fit.linear_runs()[r]));
+  return moments;
+}
+
+Uncertainty uncertainty_of(const JointFit& fit, std::span<const ScoreMoments> moments,
+                           const Variances& variances, const Held& held) {
   Uncertainty result;
-  const std::span<LinearRun> runs = fit.linear_runs();
   const JointNormal joint = fit.joint_normal(held);
   result.information = joint.information;
-  ParameterMatrix inverse = cramer_rao(joint.information);
-  clear_held(held, inverse);
+  const ParameterMatrix inverse = inverse_of(joint.information, held);
   ParameterMatrix readings = ParameterMatrix::Zero();
   ParameterMatrix torque = ParameterMatrix::Zero();
   ParameterMatrix scatter = ParameterMatrix::Zero();
   result.offset_sensitivity.setZero();
-  for (std::size_t r = 0; r < runs.size(); ++r) {
+  for (std::size_t r = 0; r < moments.size(); ++r) {
     const Normal& normal = fit.normal(r);
     Eigen::Matrix<double, kTheta, kUnknowns> eliminate;
     eliminate << ParameterMatrix::Identity(), -elimination(normal);
-    const ScoreMoments moments =
-        score_moments(fit.weights()[r], Eigen::Matrix<double, kUnknowns, 1>::Zero(), runs[r]);
     const Eigen::Matrix<double, kUnknowns, kUnknowns> reading =
-        (variances.force * moments.force + variances.velocity * moments.velocity)
+        (variances.force * moments[r].force + variances.velocity * moments[r].velocity)
             .topLeftCorner<kUnknowns, kUnknowns>();
     readings += eliminate * reading * eliminate.transpose();
-    torque += variances.torque * eliminate * moments.torque.topLeftCorner<kUnknowns, kUnknowns>() *
+    torque += variances.torque * eliminate * moments[r].torque.topLeftCorner<kUnknowns, kUnknowns>() *
               eliminate.transpose();
     const ParameterVector score = eliminate * normal.block<kUnknowns, 1>(0, kDataColumn);
     scatter += score * score.transpose();
-    result.offset_sensitivity -= eliminate * moments.offsets;
+    result.offset_sensitivity -= eliminate * moments[r].offsets;
   }
   result.offset_sensitivity = (inverse * result.offset_sensitivity).eval();
   result.covariance_exact_torque = inverse * readings * inverse;
   result.covariance = result.covariance_exact_torque + inverse * torque * inverse;
-  // Scatter falls with the number of runs, a bias does not: with a few runs it is lost in the scatter.
-  const double torque_share = 1.0 - result.covariance_exact_torque.trace() / result.covariance.trace();
-  if (!fit.uses_innovations() && runs.size() >= kFewestRunsForScatter && torque_share > kNoticeableShare) {
-    std::mt19937_64 random(kCurvatureSeed);
-    ParameterVector score = ParameterVector::Zero();
-    for (std::size_t r = 0; r < runs.size(); ++r) {
-      const auto of_run = curvature_score(fit, r, variances.torque, random);
-      score += of_run.head<kTheta>() - elimination(fit.normal(r)) * of_run.tail<2>();
-    }
-    const ParameterVector bias = inverse * score;
-    result.covariance += bias * bias.transpose();
-  }
-  if (runs.size() > 1) {
-    const auto count = static_cast<double>(runs.size());
+  if (moments.size() > 1) {
+    const auto count = static_cast<double>(moments.size());
     result.covariance_over_runs = count / (count - 1.0) * inverse * scatter * inverse;
   } else {
     result.covariance_over_runs.setConstant(std::numeric_limits<double>::quiet_NaN());
   }
   return result;
+}
+
+void add_curvature_bias(const JointFit& fit, const Variances& variances, const Held& held,
+                        Uncertainty& uncertainty) {
+  const std::size_t runs = fit.linear_runs().size();
+  // Scatter falls with the number of runs, a bias does not: with a few runs it is lost in the scatter.
+  const double torque_share =
+      1.0 - uncertainty.covariance_exact_torque.trace() / uncertainty.covariance.trace();
+  if (fit.uses_innovations() || runs < kFewestRunsForScatter || !(torque_share > kNoticeableShare)) return;
+  std::mt19937_64 random(kCurvatureSeed);
+  ParameterVector score = ParameterVector::Zero();
+  for (std::size_t r = 0; r < runs; ++r) {
+    const auto of_run = curvature_score(fit, r, variances.torque, random);
+    score += of_run.head<kTheta>() - elimination(fit.normal(r)) * of_run.tail<2>();
+  }
+  const ParameterVector bias = inverse_of(uncertainty.information, held) * score;
+  uncertainty.covariance += bias * bias.transpose();
 }
 
 }  // namespace clampd::identify

@@ -1,6 +1,8 @@
 #pragma once
 
 #include <cstddef>
+#include <span>
+#include <vector>
 
 #include "src/identify/joint_fit.hpp"
 
@@ -19,6 +21,14 @@ struct Uncertainty {
 
 /// Of the estimate at the fit's last evaluated point, whose readings and torque have noise of these
 /// variances, whatever weights the fit used. Rows and columns of held parameters are zero.
-Uncertainty uncertainty_of(JointFit& fit, const Variances& variances, const Held& held);
+Uncertainty uncertainty_of(const JointFit& fit, std::span<const ScoreMoments> moments,
+                           const Variances& variances, const Held& held);
+
+/// What the runs bring to it whatever is held.
+std::vector<ScoreMoments> score_moments_of(JointFit& fit);
+
+/// Widens the covariance of an output error estimate by the bias that a noticeable torque noise leaves in it.
+void add_curvature_bias(const JointFit& fit, const Variances& variances, const Held& held,
+                        Uncertainty& uncertainty);
 
 }  // namespace clampd::identify
