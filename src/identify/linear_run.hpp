@@ -28,7 +28,7 @@ struct LinearRow {
   Eigen::Matrix<double, 2, kTheta> by_parameter;
   Eigen::Vector2d correction;  ///< of the reference by this row's reading
   Eigen::Matrix2d transition;  ///< A of (19)
-  Eigen::Matrix<double, 2, kTheta> step_by_parameter;
+  Eigen::Matrix<double, 2, kTheta, Eigen::RowMajor> step_by_parameter;
   Eigen::Matrix2d torque_covariance;  ///< of the next row's state, by torque noise of unit variance
   Eigen::Matrix2d torque_root;        ///< its root: torque_root torque_root^T = torque_covariance
 };

@@ -134,7 +134,7 @@ Estimate prediction_error_estimate(OutputErrorSearch& output_errors, std::span<c
   // more than the readings' noise, likelihood must choose, until two unlike starts have met where it is best.
   if (doubtful) {
     OutputErrorAttempt& thorough = output_errors.best();
-    if (std::isfinite(thorough.score)) {
+    if (std::isfinite(thorough.score) && thorough.unknowns != warm.unknowns) {
       const Variances noise = output_errors.noise_at(thorough).variances;
       // With more, the model does not follow the brake there either.
       if (noise.torque < kMaxBelievedTorqueNoise_Nm * kMaxBelievedTorqueNoise_Nm)

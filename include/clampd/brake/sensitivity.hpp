@@ -100,24 +100,19 @@ BrakeState runge_kutta_tangent(const Model& model, const BrakeState& state,
     velocity_by[0] = sixth * (1.0 + 2.0 * (da1 + da2) + da3);
   }
 
-  const auto chain = [&](int i, double forced_position, double forced_velocity) {
-    const double position = tangent.position[i];
-    const double velocity = tangent.velocity[i];
-    tangent.position[i] = position_by_position * position + position_by_velocity * velocity + forced_position;
-    tangent.velocity[i] = velocity_by_position * position + velocity_by_velocity * velocity + forced_velocity;
-  };
-  for (int i = 0; i < kForced; ++i)
-    chain(i,
-          position_by[0] * a0.by_parameter[i] + position_by[1] * a1.by_parameter[i] +
-              position_by[2] * a2.by_parameter[i],
-          velocity_by[0] * a0.by_parameter[i] + velocity_by[1] * a1.by_parameter[i] +
-              velocity_by[2] * a2.by_parameter[i] + velocity_by[3] * a3.by_parameter[i]);
-  chain(T::kPosition, 0.0, 0.0);
-  chain(T::kVelocity, 0.0, 0.0);
-  chain(T::kTorque,
-        position_by[0] * a0.by_torque + position_by[1] * a1.by_torque + position_by[2] * a2.by_torque,
-        velocity_by[0] * a0.by_torque + velocity_by[1] * a1.by_torque + velocity_by[2] * a2.by_torque +
-            velocity_by[3] * a3.by_torque);
+  const typename T::Columns position = tangent.position;
+  tangent.position = position_by_position * position + position_by_velocity * tangent.velocity;
+  tangent.velocity = velocity_by_position * position + velocity_by_velocity * tangent.velocity;
+  using Forced = Eigen::Map<const Eigen::Array<double, kForced, 1>>;
+  const Forced f0(a0.by_parameter), f1(a1.by_parameter), f2(a2.by_parameter), f3(a3.by_parameter);
+  tangent.position.template head<kForced>() +=
+      position_by[0] * f0 + position_by[1] * f1 + position_by[2] * f2;
+  tangent.velocity.template head<kForced>() +=
+      velocity_by[0] * f0 + velocity_by[1] * f1 + velocity_by[2] * f2 + velocity_by[3] * f3;
+  tangent.position[T::kTorque] +=
+      position_by[0] * a0.by_torque + position_by[1] * a1.by_torque + position_by[2] * a2.by_torque;
+  tangent.velocity[T::kTorque] += velocity_by[0] * a0.by_torque + velocity_by[1] * a1.by_torque +
+                                  velocity_by[2] * a2.by_torque + velocity_by[3] * a3.by_torque;
 
   if (step_slope != nullptr) {
     const double dv1 = 0.5 * a0.value;
@@ -183,9 +178,9 @@ BrakeState advance_with_tangent(const Model& model, BrakeState state, Tangent<Mo
 /// A step linearised about its start: x(k+1) = f + transition dx + by_parameter dp + by_torque dT.
 template <int kParameters>
 struct LinearStep {
-  Eigen::Matrix2d transition;                          ///< A of (19)
-  Eigen::Matrix<double, 2, kParameters> by_parameter;  ///< per SI unit
-  Eigen::Vector2d by_torque;                           ///< of a torque error held over the step
+  Eigen::Matrix2d transition;                                           ///< A of (19)
+  Eigen::Matrix<double, 2, kParameters, Eigen::RowMajor> by_parameter;  ///< per SI unit
+  Eigen::Vector2d by_torque;  ///< of a torque error held over the step
 };
 
 /// advance() and its linearisation.
