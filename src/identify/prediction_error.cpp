@@ -24,9 +24,9 @@ constexpr int kPredictionErrorUndampedRounds = 3;
 constexpr double kMaxBelievedTorqueNoise_Nm = 0.03;  // twice the paper's
 constexpr int kMaxRounds = 20;
 
-/// Two ends of a search are the same place if their likelihoods differ by less (nats): what settling leaves
-/// open.
-constexpr double kSamePlace = 1.0;
+/// Two ends of a search are the same place if their parameters differ by less than what lowers the likelihood
+/// by this (nats). Likelihoods themselves differ by more if many runs, each with kinks of its own, have settled.
+constexpr double kSamePlace = 0.5;
 
 /// Where the prediction error method ended from one start.
 struct Attempt {
@@ -36,6 +36,7 @@ struct Attempt {
   bool settled = false;
   bool white = false;          ///< the innovations
   double torque_spread = 0.0;  ///< as in NoiseFit
+  ParameterMatrix information = ParameterMatrix::Zero();  ///< of the normalised parameters
 };
 
 KnownVariances known_by(const EstimatorOptions& options) {
@@ -59,11 +60,13 @@ class PredictionErrorSearch {
       if (!descent.possible) return result;
       // At a kink the slopes promise what is not there, and the noise would be estimated as if it were.
       const double promised = fit_.expected_decrease();
+      const ParameterMatrix information = fit_.joint_normal(options_.held).information;
       const double reweighted = fit_.update_weights();
       const NoiseFit found =
           estimate_noise(fit_.linear_runs(), fit_.weights(), fit_.prior_distances(), options_.held,
                          result.variances, known_by(options_), kScoringIterations);
       result.criterion = found.criterion + 0.5 * promised;
+      result.information = information;
       result.white = found.white;
       result.torque_spread = found.torque_spread;
       result.settled = descent.settled && reweighted < kPredictionErrorWeightTolerance &&
@@ -126,8 +129,9 @@ Estimate prediction_error_estimate(OutputErrorSearch& output_errors, std::span<c
     if (other.criterion < best.criterion) best = std::move(other);
   };
   const auto alike = [&](const Attempt& a, const Attempt& b) {
-    return std::abs(a.criterion - b.criterion) < kSamePlace &&
-           !has_vanished(fit.theta_of(b.unknowns), options.held);
+    const ParameterVector theta = fit.theta_of(b.unknowns);
+    const ParameterVector apart = (fit.theta_of(a.unknowns) - theta).cwiseQuotient(nominal_parameters());
+    return 0.5 * apart.dot(b.information * apart) < kSamePlace && !has_vanished(theta, options.held);
   };
   // A filter can call almost any parameters good if only it believes in enough torque noise: the output
   // errors from several starts say more. Where those got lost, as in slow motion under load, or are off by
@@ -153,7 +157,7 @@ Estimate prediction_error_estimate(OutputErrorSearch& output_errors, std::span<c
     for (int i = 0; i < OutputErrorSearch::kOtherStarts; ++i) {
       const std::optional<ParameterVector> theta = output_errors.other_start(i);
       if (!theta) continue;
-      Attempt other = search.attempt(fit.start_from(*theta), start);
+      Attempt other = search.attempt(fit.start_from(*theta), good(best) ? best.variances : start);
       const bool met = good(other) && good(best) && alike(other, best);
       consider(std::move(other));
       if (met) break;
