@@ -109,7 +109,9 @@ expect_pass() {
 # truth PARAMETER: of the brake that was started last.
 truth() { awk -v name="$1" '$1 == name { print $3 }' /tmp/plant.toml; }
 
-# expect_close_to_truth CHECK: every estimate within three of its reported standard deviations.
+# expect_close_to_truth CHECK: every estimate within 4.5 of its reported standard deviations. The brake's noise differs from run to
+# run of a guest. Of 7 estimates that are as uncertain as they say, one lies outside of 3 in every fiftieth check, and outside of
+# 4.5 in every twenty-thousandth. How often the intervals hold the truth is counted elsewhere, by the campaigns.
 expect_close_to_truth() {
   index=0
   while [ $index -lt 7 ]; do
@@ -118,7 +120,7 @@ expect_close_to_truth() {
     sd=$(json_get "/tmp/$1.json" /parameters/$index/sd)
     distance=$(awk -v value="$value" -v sd="$sd" -v truth="$(truth "$name")" \
       'BEGIN { d = (value - truth) / sd; print (sd > 0 ? (d < 0 ? -d : d) : "") }')
-    at_most "$name = $value, truth $(truth "$name"), distance in sd ($sd)" "$distance" 3
+    at_most "$name = $value, truth $(truth "$name"), distance in sd ($sd)" "$distance" 4.5
     index=$((index + 1))
   done
 }

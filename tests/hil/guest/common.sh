@@ -5,7 +5,9 @@
 ip() { /bin/ip "$@"; }
 
 fail() {
-  [ ! -e /tmp/station.log ] || tail -n 5 /tmp/station.log
+  for file in /tmp/station.log /tmp/status.err /tmp/status.json; do
+    [ ! -e $file ] || tail -n 5 $file
+  done
   echo "FAILED: $*"
   exit 1
 }
