@@ -31,6 +31,12 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
   return row[b.size()];
 }
 
+/// Nothing if it is none, or a whole number that is not exact as a double.
+std::optional<double> finite_number(const toml::node& node) {
+  const std::optional<double> value = node.is_number() ? node.value<double>() : std::nullopt;
+  return value && std::isfinite(*value) ? value : std::nullopt;
+}
+
 }  // namespace
 
 std::string toml_message(const std::string& file, const toml::source_region& where,
@@ -69,13 +75,18 @@ void TableReader::refuse(const toml::source_region& where, std::string_view mess
   if (!error_) error_ = Error{toml_message(file_, where, message)};
 }
 
-const toml::node* TableReader::find(std::string_view key) {
-  known_.emplace_back(key);
+void TableReader::refuse(std::string_view key, std::string_view message) {
+  const toml::node* node = table_.get(key);
+  refuse(node == nullptr ? table_.source() : node->source(), message);
+}
+
+const toml::node* TableReader::at(std::string_view key) {
+  if (std::ranges::find(known_, key) == known_.end()) known_.emplace_back(key);
   return error_ ? nullptr : table_.get(key);
 }
 
 void TableReader::number(std::string_view key, double& target, double least, double most) {
-  const toml::node* node = find(key);
+  const toml::node* node = at(key);
   if (node == nullptr) return;
   if (!node->is_number()) return refuse(node->source(), fmt::format("{} must be a number", name(key)));
   // Whole numbers beyond 2^53 are no doubles, and toml++ gives nothing for them.
@@ -91,9 +102,43 @@ void TableReader::number(std::string_view key, double& target, double least, dou
   target = value;
 }
 
+void TableReader::number(std::string_view key, double& target) {
+  const toml::node* node = at(key);
+  if (node == nullptr) return;
+  if (const std::optional<double> value = finite_number(*node)) {
+    target = *value;
+    return;
+  }
+  refuse(node->source(), fmt::format("{} must be a finite number", name(key)));
+}
+
+void TableReader::numbers(std::string_view key, std::vector<double>& target) {
+  if (const toml::node* node = at(key)) read_numbers(key, *node, target);
+}
+
+void TableReader::rows_of_numbers(std::string_view key, std::vector<std::vector<double>>& target) {
+  const toml::node* node = at(key);
+  if (node == nullptr) return;
+  if (!node->is_array())
+    return refuse(node->source(), fmt::format("{} must be a list of lists of numbers", name(key)));
+  target.clear();
+  for (const toml::node& row : *node->as_array()) read_numbers(key, row, target.emplace_back());
+}
+
+void TableReader::read_numbers(std::string_view key, const toml::node& node, std::vector<double>& target) {
+  const toml::array* array = node.as_array();
+  if (array == nullptr) return refuse(node.source(), fmt::format("{} must be a list of numbers", name(key)));
+  target.clear();
+  for (const toml::node& entry : *array) {
+    const std::optional<double> value = finite_number(entry);
+    if (!value) return refuse(entry.source(), fmt::format("{} must hold finite numbers only", name(key)));
+    target.push_back(*value);
+  }
+}
+
 bool TableReader::read_integer(std::string_view key, std::int64_t& value, std::int64_t least,
                                std::int64_t most) {
-  const toml::node* node = find(key);
+  const toml::node* node = at(key);
   if (node == nullptr) return false;
   if (!node->is_integer()) {
     refuse(node->source(), fmt::format("{} must be a whole number", name(key)));
@@ -106,14 +151,14 @@ bool TableReader::read_integer(std::string_view key, std::int64_t& value, std::i
 }
 
 void TableReader::boolean(std::string_view key, bool& target) {
-  const toml::node* node = find(key);
+  const toml::node* node = at(key);
   if (node == nullptr) return;
   if (!node->is_boolean()) return refuse(node->source(), fmt::format("{} must be true or false", name(key)));
   target = **node->as_boolean();
 }
 
 void TableReader::text(std::string_view key, std::string& target, std::size_t longest) {
-  const toml::node* node = find(key);
+  const toml::node* node = at(key);
   if (node == nullptr) return;
   if (!node->is_string())
     return refuse(node->source(), fmt::format("{} must be a text in quotes", name(key)));
@@ -128,7 +173,7 @@ void TableReader::text(std::string_view key, std::string& target, std::size_t lo
 
 void TableReader::choice(std::string_view key, std::string& target,
                          std::initializer_list<std::string_view> choices) {
-  const toml::node* node = find(key);
+  const toml::node* node = at(key);
   if (node == nullptr) return;
   if (node->is_string() && std::find(choices.begin(), choices.end(), **node->as_string()) != choices.end()) {
     target = **node->as_string();
@@ -138,7 +183,7 @@ void TableReader::choice(std::string_view key, std::string& target,
 }
 
 void TableReader::texts(std::string_view key, std::vector<std::string>& target) {
-  const toml::node* node = find(key);
+  const toml::node* node = at(key);
   if (node == nullptr) return;
   const toml::array* array = node->as_array();
   if (array == nullptr || !(array->empty() || array->is_homogeneous<std::string>()))
@@ -148,7 +193,7 @@ void TableReader::texts(std::string_view key, std::vector<std::string>& target) 
 }
 
 void TableReader::date(std::string_view key, std::string& target) {
-  const toml::node* node = find(key);
+  const toml::node* node = at(key);
   if (node == nullptr) return;
   std::string value;
   if (const auto* date_node = node->as_date()) {
@@ -170,14 +215,14 @@ void TableReader::path(std::string_view key, std::string& target, const std::str
 }
 
 const toml::table* TableReader::table(std::string_view key) {
-  const toml::node* node = find(key);
+  const toml::node* node = at(key);
   if (node == nullptr) return nullptr;
   if (!node->is_table()) refuse(node->source(), fmt::format("{} must be a table", name(key)));
   return node->as_table();
 }
 
 const toml::array* TableReader::array_of_tables(std::string_view key) {
-  const toml::node* node = find(key);
+  const toml::node* node = at(key);
   if (node == nullptr) return nullptr;
   if (!node->is_array_of_tables()) {
     refuse(node->source(), fmt::format("{0} must be written as [[{0}]]", name(key)));

@@ -313,6 +313,10 @@ FittedDrive fitted_drive(const Workshop& shop, const TorqueModel& best, const Se
                      shop.data.cut_off_Hz,
                      shop.data.slow_speed,
                      kNaN};
+  if (!fitted.covariance.allFinite()) {  // too few rows to tell
+    fitted.covariance.resize(0, 0);
+    return fitted;
+  }
   // Known values are certain.
   Eigen::Index coefficients = 0;
   for (const FittedTerm& term : fitted.terms)

@@ -1,15 +1,16 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <optional>
 #include <sstream>
 
 #include <fmt/format.h>
 #include <toml++/toml.h>
 
+#include "clampd/base/table_reader.hpp"
 #include "clampd/drive/model.hpp"
 #include "clampd/record/file.hpp"
-#include "src/drive/strict_reader.hpp"
 
 /// The section [fitted] of a model file: terms with their functions, coefficients and covariance.
 namespace clampd {
@@ -134,116 +135,97 @@ toml::table fitted_table(const FittedDrive& drive) {
   return table;
 }
 
-class FittedReader : public drive::StrictReader {
+class FittedReader {
  public:
-  using StrictReader::StrictReader;
+  FittedReader(const std::string& file, std::optional<Error>& error) : file_(file), error_(error) {}
 
-  FittedDrive read(DriveModel model) {
+  FittedDrive read(const toml::table& fitted, DriveModel model) {
     FittedDrive drive;
     drive.model = std::move(model);
-    const toml::table* fitted = document_["fitted"].as_table();
-    if (fitted == nullptr) {
-      error_ = Error{fmt::format(
-          "{}: the section [fitted] is missing; fit the model to runs and save it under another name: "
-          "`clampctl diagnose RUN.csv ... --model {} --save SAVED.toml`",
-          path_, path_)};
-      return drive;
-    }
-    drive.lag_s = number(*fitted, "lag_s", 0.0);
-    drive.settling_s = number(*fitted, "settling_s", 0.0);
-    if (drive.settling_s < 0.0) refuse(*fitted->get("settling_s"), "settling_s must not be negative");
-    drive.slow_speed = number(*fitted, "slow_speed", 0.0);
-    drive.cut_off_Hz = number(*fitted, "cut_off_Hz", drive.cut_off_Hz);
-    drive.error_rms = number(*fitted, "error_rms", drive.error_rms);
-    const toml::node* terms = fitted->get("term");
-    if (terms == nullptr || !terms->is_array() || terms->as_array()->empty()) {
-      refuse(*fitted, "[fitted] has no terms [[fitted.term]]");
-      return drive;
-    }
-    for (const toml::node& term : *terms->as_array()) read_term(term, drive);
-    read_covariance(*fitted, drive);
+    TableReader reader(fitted, "fitted", file_, error_);
+    reader.number("lag_s", drive.lag_s);
+    reader.number("settling_s", drive.settling_s, 0.0, std::numeric_limits<double>::max());
+    reader.number("slow_speed", drive.slow_speed);
+    reader.number("cut_off_Hz", drive.cut_off_Hz);
+    reader.number("error_rms", drive.error_rms);
+    const toml::array* terms = reader.array_of_tables("term");
+    if (terms == nullptr) reader.refuse("term", "[fitted] has no terms [[fitted.term]]");
+    for (std::size_t i = 0; terms != nullptr && i < terms->size(); ++i)
+      read_term(*(*terms)[i].as_table(), drive);
+    read_covariance(reader, drive);
+    reader.finish();
     return drive;
   }
 
  private:
-  double number(const toml::table& table, std::string_view key, double otherwise) {
-    const toml::node* node = table.get(key);
-    if (node == nullptr) return otherwise;
-    const double value = node->is_number() ? node->value_or(0.0) : std::numeric_limits<double>::quiet_NaN();
-    if (!std::isfinite(value)) refuse(*node, fmt::format("{} must be a finite number", key));
-    return value;
-  }
-
-  BasisFunction function_of(const toml::node& node, const DriveModel& model) {
+  BasisFunction read_function(const toml::table& table, const DriveModel& model) {
+    TableReader reader(table, "fitted.term.functions", file_, error_);
     BasisFunction function;
-    const toml::table* table = node.as_table();
-    if (table == nullptr) {
-      refuse(node, "a function must be a table with carrier and factor");
-      return function;
-    }
-    const auto carrier = index_of(kCarrierNames, (*table)["carrier"].value_or(std::string_view{}));
-    const auto factor = index_of(kFactorNames, (*table)["factor"].value_or(std::string_view{}));
-    if (!carrier) refuse(node, fmt::format("carrier must be one of {}", fmt::join(kCarrierNames, ", ")));
-    if (!factor) refuse(node, fmt::format("factor must be one of {}", fmt::join(kFactorNames, ", ")));
-    if (!carrier || !factor) return function;
-    function.carrier = static_cast<BasisFunction::Carrier>(*carrier);
-    function.factor = static_cast<BasisFunction::Factor>(*factor);
-    function.first = number(*table, "first", 0.0);
-    function.second = number(*table, "second", 1.0);
-    function.index = static_cast<int>(std::clamp(number(*table, "index", -1.0), -1.0, 1e6));
+    function.carrier = named<BasisFunction::Carrier>(reader, "carrier", kCarrierNames);
+    function.factor = named<BasisFunction::Factor>(reader, "factor", kFactorNames);
+    reader.number("first", function.first);
+    reader.number("second", function.second);
+    reader.integer("index", function.index, -1, 1'000'000);
+    reader.finish();
     if (function.factor == BasisFunction::Factor::BalancePower && !(function.second > 1.0))
-      refuse(node, "balance-power needs a second of more than 1, the power");
+      reader.refuse("second", "balance-power needs a second of more than 1, the power");
     const bool of_column = function.factor == BasisFunction::Factor::Column ||
                            function.factor == BasisFunction::Factor::ColumnSize;
     if (of_column &&
         (function.index < 0 || static_cast<std::size_t>(function.index) >= model.regressors.size()))
-      refuse(node,
-             fmt::format("index {} is none of the {} regressors", function.index, model.regressors.size()));
+      reader.refuse("index", fmt::format("index {} is none of the {} regressors", function.index,
+                                         model.regressors.size()));
     return function;
   }
 
-  void read_term(const toml::node& node, FittedDrive& drive) {
-    const toml::table* table = node.as_table();
-    const auto text = table == nullptr ? std::nullopt : (*table)["name"].value<std::string>();
-    if (!text) return refuse(node, "a term needs a name");
+  template <typename T, std::size_t N>
+  static T named(TableReader& reader, std::string_view key, const std::array<std::string_view, N>& names) {
+    std::string text;
+    reader.text(key, text);
+    const std::optional<std::size_t> index = index_of(names, text);
+    if (!index) reader.refuse(key, fmt::format("{} must be one of {}", key, fmt::join(names, ", ")));
+    return static_cast<T>(index.value_or(0));
+  }
+
+  void read_term(const toml::table& table, FittedDrive& drive) {
+    TableReader reader(table, "fitted.term", file_, error_);
     FittedTerm term;
-    term.name = *text;
+    reader.text("name", term.name);
     const auto known = index_of(kDriveTermNames, term.name.substr(0, term.name.find(':')));
     if (!known)
-      return refuse(node, fmt::format("no term is called {}; known are {}", term.name,
-                                      fmt::join(kDriveTermNames, ", ")));
+      return reader.refuse("name", fmt::format("no term is called {}; known are {}", term.name,
+                                               fmt::join(kDriveTermNames, ", ")));
     term.term = static_cast<DriveTerm>(*known);
-    const toml::array* functions = (*table)["functions"].as_array();
-    const toml::array* coefficients = (*table)["coefficients"].as_array();
-    if (functions == nullptr || coefficients == nullptr || functions->size() != coefficients->size())
-      return refuse(node, fmt::format("{} needs as many functions as coefficients", term.name));
-    for (const toml::node& each : *functions) term.functions.push_back(function_of(each, drive.model));
-    for (const toml::node& each : *coefficients) {
-      const double value = each.is_number() ? each.value_or(0.0) : std::numeric_limits<double>::quiet_NaN();
-      if (!std::isfinite(value)) refuse(each, "a coefficient must be a finite number");
-      term.coefficients.push_back(value);
-    }
+    reader.numbers("coefficients", term.coefficients);
+    const toml::array* functions = reader.array_of_tables("functions");
+    if (functions == nullptr || functions->size() != term.coefficients.size())
+      return reader.refuse("functions", fmt::format("{} needs as many functions as coefficients", term.name));
+    for (const toml::node& each : *functions)
+      term.functions.push_back(read_function(*each.as_table(), drive.model));
+    reader.finish();
     drive.terms.push_back(std::move(term));
   }
 
-  void read_covariance(const toml::table& fitted, FittedDrive& drive) {
-    const toml::array* rows = fitted["covariance"].as_array();
-    if (rows == nullptr || rows->empty()) return;
+  void read_covariance(TableReader& reader, FittedDrive& drive) {
+    std::vector<std::vector<double>> rows;
+    reader.rows_of_numbers("covariance", rows);
+    if (rows.empty()) return;
     std::size_t count = 0;
     for (const FittedTerm& term : drive.terms) count += term.coefficients.size();
-    bool square = rows->size() == count;
-    drive.covariance.setZero(static_cast<Eigen::Index>(count), static_cast<Eigen::Index>(count));
-    for (std::size_t i = 0; square && i < count; ++i) {
-      const toml::array* row = (*rows)[i].as_array();
-      square = row != nullptr && row->size() == count;
-      for (std::size_t j = 0; square && j < count; ++j)
-        drive.covariance(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) =
-            (*row)[j].value_or(0.0);
-    }
-    if (!square)
-      refuse(*rows, fmt::format("covariance must have {} rows of {} numbers, one for each coefficient", count,
-                                count));
+    if (rows.size() != count ||
+        std::ranges::any_of(rows, [&](const auto& row) { return row.size() != count; }))
+      return reader.refuse(
+          "covariance",
+          fmt::format("covariance must have {} rows of {} numbers, one for each coefficient", count, count));
+    const auto size = static_cast<Eigen::Index>(count);
+    drive.covariance.resize(size, size);
+    for (std::size_t i = 0; i < count; ++i)
+      drive.covariance.row(static_cast<Eigen::Index>(i)) =
+          Eigen::Map<const Eigen::RowVectorXd>(rows[i].data(), size);
   }
+
+  const std::string& file_;
+  std::optional<Error>& error_;
 };
 
 }  // namespace
@@ -251,10 +233,17 @@ class FittedReader : public drive::StrictReader {
 Result<FittedDrive> parse_fitted_drive(const std::string& text, const std::string& path) {
   Result<DriveModel> model = parse_drive_model(text, path);
   if (!model) return tl::unexpected(model.error());
-  const toml::table document = toml::parse(text, path);  // it has just been parsed
-  FittedReader reader(document, path);
-  FittedDrive drive = reader.read(std::move(*model));
-  if (reader.error()) return tl::unexpected(*reader.error());
+  const Result<toml::table> document = parse_toml(text, path);
+  if (!document) return tl::unexpected(document.error());
+  const toml::table* fitted = (*document)["fitted"].as_table();
+  if (fitted == nullptr)
+    return failure(fmt::format(
+        "{}: the section [fitted] is missing; fit the model to runs and save it under another name: "
+        "`clampctl diagnose RUN.csv ... --model {} --save SAVED.toml`",
+        path, path));
+  std::optional<Error> error;
+  FittedDrive drive = FittedReader(path, error).read(*fitted, std::move(*model));
+  if (error) return tl::unexpected(*error);
   return drive;
 }
 

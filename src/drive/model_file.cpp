@@ -1,291 +1,241 @@
 #include "clampd/drive/model.hpp"
 
 #include <algorithm>
-#include <cmath>
-#include <initializer_list>
+#include <array>
 #include <limits>
 #include <optional>
 #include <utility>
 
 #include <fmt/format.h>
-#include <toml++/toml.h>
 
+#include "clampd/base/table_reader.hpp"
 #include "clampd/record/file.hpp"
-#include "src/drive/strict_reader.hpp"
 
 namespace clampd {
 namespace {
 
 constexpr std::size_t kBaseTerms = 3;
+constexpr double kAboveZero = std::numeric_limits<double>::min();
+constexpr double kGreatest = std::numeric_limits<double>::max();
 
-class ModelReader : public drive::StrictReader {
+/// As TableReader::text(), but not empty.
+void read_text(TableReader& reader, std::string_view key, std::string& target) {
+  reader.text(key, target);
+  if (reader.has(key) && target.empty())
+    reader.refuse(key, fmt::format("{} must be a text in quotes", reader.name(key)));
+}
+
+class ModelReader {
  public:
-  using StrictReader::StrictReader;
+  ModelReader(const std::string& file, std::optional<Error>& error) : file_(file), error_(error) {}
 
-  DriveModel read() {
+  DriveModel read(const toml::table& document) {
     DriveModel model;
-    model.file = path_;
-    known(document_, "", {"drive", "columns", "regressors", "files", "model", "data", "fitted"});
-    if (const toml::table* drive = section("drive", true)) read_drive(*drive, model);
-    const toml::table* columns = section("columns", true);
-    if (columns != nullptr) read_columns(*columns, model.columns);
-    if (const toml::table* regressors = section("regressors", false)) read_regressors(*regressors, model);
-    if (columns != nullptr) read_load_position(*columns, model);
-    if (const toml::table* files = section("files", false)) read_files(*files, model);
+    model.file = file_;
+    TableReader reader(document, "", file_, error_);
+    const auto section = [&](std::string_view key, bool required, auto part) {
+      if (required && !reader.has(key)) reader.refuse(key, fmt::format("the section [{}] is missing", key));
+      if (const toml::table* table = reader.table(key)) {
+        TableReader each(*table, std::string(key), file_, error_);
+        (this->*part)(each, *table, model);
+        each.finish();
+      }
+    };
+    section("drive", true, &ModelReader::read_drive);
+    section("columns", true, &ModelReader::read_columns);
+    section("regressors", false, &ModelReader::read_regressors);
+    // After the regressors: their terms find them by their places.
+    if (load_position_) model.columns.others.emplace_back("load_position", *load_position_);
+    section("files", false, &ModelReader::read_files);
     for (std::size_t i = 0; i < kDriveTermCount; ++i)
       model.parts[i].use = i < kBaseTerms ? PartUse::Estimate : PartUse::Candidate;
-    if (const toml::table* data = section("data", false)) read_data(*data, model);
+    section("data", false, &ModelReader::read_data);
     if (model.steady) model.parts[0].use = PartUse::Off;
-    if (const toml::table* parts = section("model", false)) read_parts(*parts, model);
+    section("model", false, &ModelReader::read_parts);
+    reader.table("fitted");  // which parse_fitted_drive() reads
+    reader.finish();
     return model;
   }
 
  private:
-  void known(const toml::table& table, std::string_view name, std::initializer_list<std::string_view> keys) {
-    for (const auto& [key, node] : table) {
-      bool found = false;
-      for (const std::string_view each : keys) found = found || key.str() == each;
-      if (!found)
-        refuse(node, fmt::format("unknown key {}{}{}; known are {}", key.str(), name.empty() ? "" : " in ",
-                                 name, fmt::join(keys, ", ")));
-    }
-  }
-
-  const toml::table* section(std::string_view name, bool required) {
-    const toml::node* node = document_.get(name);
-    if (node == nullptr) {
-      if (required && !error_)
-        error_ = Error{fmt::format("{}:1:1: the section [{}] is missing", path_, name)};
-      return nullptr;
-    }
-    if (!node->is_table()) refuse(*node, fmt::format("{} must be a section [{}]", name, name));
-    return node->as_table();
-  }
-
-  std::optional<std::string> text(const toml::table& table, std::string_view key) {
-    const toml::node* node = table.get(key);
-    if (node == nullptr) return std::nullopt;
-    const std::optional<std::string> value = node->value<std::string>();
-    if (!node->is_string() || value->empty()) {
-      refuse(*node, fmt::format("{} must be a text in quotes", key));
-      return std::nullopt;
-    }
-    return value;
-  }
-
-  std::optional<double> number(const toml::table& table, std::string_view key, bool positive) {
-    const toml::node* node = table.get(key);
-    if (node == nullptr) return std::nullopt;
-    const std::optional<double> value = node->is_number() ? node->value<double>() : std::nullopt;
-    if (!value || !std::isfinite(*value) || *value == 0.0 || (positive && *value < 0.0)) {
-      refuse(*node, fmt::format("{} must be a {} number", key, positive ? "positive" : "finite, non-zero"));
-      return std::nullopt;
-    }
-    return value;
-  }
-
-  void read_drive(const toml::table& drive, DriveModel& model) {
-    known(drive, "[drive]", {"name", "kind", "unit"});
-    model.name = text(drive, "name").value_or("drive");
-    const std::string kind = text(drive, "kind").value_or("");
-    if (kind != "rotary" && kind != "linear") {
-      const toml::node* node = drive.get("kind");
-      refuse(node == nullptr ? static_cast<const toml::node&>(drive) : *node,
-             "kind must be \"rotary\" or \"linear\"");
-    }
+  void read_drive(TableReader& drive, const toml::table&, DriveModel& model) {
+    model.name = "drive";
+    read_text(drive, "name", model.name);
+    std::string kind;
+    drive.choice("kind", kind, {"rotary", "linear"});
+    if (kind.empty()) drive.refuse("kind", "drive.kind must be one of \"rotary\", \"linear\"");
     model.linear = kind == "linear";
-    model.torque_unit = text(drive, "unit").value_or(model.linear ? "N" : "N m");
-    const auto is = [&](const char* unit) { return model.torque_unit == unit; };
-    if (!is("N m") && !is("N") && !is("A") && !is("V") && !is("%"))
-      refuse(*drive.get("unit"),
-             "unit must be \"N m\", \"N\", \"A\", \"V\" or \"%\"; use scale for another one");
+    model.torque_unit = model.linear ? "N" : "N m";
+    drive.choice("unit", model.torque_unit, {"N m", "N", "A", "V", "%"});
   }
 
-  std::optional<ColumnSource> source(const toml::table& columns, std::string_view key) {
-    const toml::node* node = columns.get(key);
+  /// KEY = "column" or {column = "...", scale, wrap, offset, minus, late_s}; of a regressor also `use`.
+  std::optional<ColumnSource> source(TableReader& parent, std::string_view key, bool regressor = false) {
+    const toml::node* node = parent.at(key);
     if (node == nullptr) return std::nullopt;
-    const toml::table* table = node->as_table();
-    if (table == nullptr) {
-      const std::optional<std::string> column = text(columns, key);
-      if (!column) return std::nullopt;
-      return ColumnSource{*column};
+    ColumnSource source;
+    if (!node->is_table()) {
+      read_text(parent, key, source.column);
+      return source;
     }
-    known(*table, key, {"column", "scale", "wrap", "offset", "minus", "late_s", "use"});
-    const std::optional<std::string> column = text(*table, "column");
-    if (!column) refuse(*node, fmt::format("columns.{} needs column = \"...\"", key));
-    ColumnSource source{column.value_or(""), number(*table, "scale", false).value_or(1.0),
-                        number(*table, "wrap", true).value_or(0.0)};
-    if (table->contains("offset")) source.offset = finite(*table, "offset");
-    source.minus = text(*table, "minus").value_or("");
-    if (table->contains("late_s")) source.late_s = finite(*table, "late_s");
-    if (source.late_s != 0.0 && (key == "time" || key == "drive_enabled"))
-      refuse(*table->get("late_s"), fmt::format("{} cannot be late; give late_s of the readings", key));
+    TableReader table(*node->as_table(), parent.name(key), file_, error_);
+    if (!table.has("column")) parent.refuse(key, fmt::format("{} needs column = \"...\"", parent.name(key)));
+    read_text(table, "column", source.column);
+    table.number("scale", source.scale);
+    if (source.scale == 0.0) table.refuse("scale", fmt::format("{} must not be zero", table.name("scale")));
+    table.number("wrap", source.wrap, kAboveZero, kGreatest);
+    table.number("offset", source.offset);
+    read_text(table, "minus", source.minus);
+    table.number("late_s", source.late_s);
+    if (regressor) table.at("use");
+    table.finish();
     return source;
   }
 
-  double finite(const toml::table& table, std::string_view key) {
-    const toml::node& node = *table.get(key);
-    const double value = node.is_number() ? node.value_or(0.0) : std::numeric_limits<double>::quiet_NaN();
-    if (std::isfinite(value)) return value;
-    refuse(node, fmt::format("{} must be a finite number", key));
-    return 0.0;
-  }
-
-  /// NAME = "column" or {column = "...", scale, offset, minus, use = "candidate", "estimate", "known-torque"
-  /// or "off"}; or {per_file = true, use}, of which the values stand in [files].
-  void read_regressors(const toml::table& regressors, DriveModel& model) {
-    for (const auto& [key, node] : regressors) {
+  /// NAME = "column" or {column = "...", ..., use = "candidate", "estimate", "known-torque" or "off"}; or
+  /// {per_file = true, use}, of which the values stand in [files].
+  void read_regressors(TableReader& regressors, const toml::table& names, DriveModel& model) {
+    for (const auto& [key, node] : names) {
       DriveRegressor regressor{std::string(key.str())};
-      const toml::table* table = node.as_table();
-      regressor.per_file = table != nullptr && table->contains("per_file");
-      if (regressor.per_file) {
-        known(*table, key.str(), {"per_file", "use"});
-        if ((*table)["per_file"].value_exact<bool>() != true)
-          refuse(node, "per_file must be true, or left out beside a column");
-      } else if (const std::optional<ColumnSource> each = source(regressors, key.str())) {
-        model.columns.others.emplace_back(regressor.name, *each);
-      } else {
-        continue;
+      std::string use = "candidate";
+      if (const toml::table* table = node.as_table()) {
+        TableReader reader(*table, regressors.name(key.str()), file_, error_);
+        reader.choice("use", use, {"candidate", "estimate", "known-torque", "off"});
+        if (reader.has("per_file")) {
+          reader.boolean("per_file", regressor.per_file);
+          if (!regressor.per_file)
+            reader.refuse("per_file", "per_file must be true, or left out beside a column");
+          reader.finish();
+        }
       }
-      const std::string use = table == nullptr ? "candidate" : text(*table, "use").value_or("candidate");
-      if (use == "estimate")
-        regressor.use = PartUse::Estimate;
-      else if (use == "off")
-        regressor.use = PartUse::Off;
-      else if (use == "known-torque")
-        regressor.known_torque = true;
-      else if (use != "candidate")
-        refuse(node, fmt::format("use of {} must be \"candidate\", \"estimate\", \"known-torque\" or \"off\"",
-                                 key.str()));
+      regressor.use = use == "estimate" ? PartUse::Estimate
+                      : use == "off"    ? PartUse::Off
+                                        : PartUse::Candidate;
+      regressor.known_torque = use == "known-torque";
+      if (regressor.per_file)
+        regressors.at(key.str());
+      else if (const std::optional<ColumnSource> column = source(regressors, key.str(), true))
+        model.columns.others.emplace_back(regressor.name, *column);
       model.regressors.push_back(regressor);
     }
   }
 
   /// [files."RUN.csv"] with a number for each regressor that is per file.
-  void read_files(const toml::table& files, DriveModel& model) {
-    std::vector<std::string> names;
-    for (const DriveRegressor& regressor : model.regressors)
-      if (regressor.per_file) names.push_back(regressor.name);
-    for (const auto& [key, node] : files) {
+  void read_files(TableReader& files, const toml::table& names, DriveModel& model) {
+    for (const auto& [key, node] : names) {
+      files.at(key.str());
       const toml::table* table = node.as_table();
-      if (table == nullptr) {
-        refuse(node,
-               fmt::format("files.{} must be a section [files.\"{}\"]; a name with a dot needs the quotes",
-                           key.str(), key.str()));
-        continue;
-      }
+      if (table == nullptr)
+        return files.refuse(
+            key.str(),
+            fmt::format("files.{0} must be a section [files.\"{0}\"]; a name with a dot needs the quotes",
+                        key.str()));
+      TableReader reader(*table, fmt::format("files.\"{}\"", key.str()), file_, error_);
+      for (const auto& [name, value] : *table) refuse_foreign(reader, key.str(), name.str(), value, model);
       DriveFile file{std::string(key.str()), {}};
-      for (const auto& [name, value] : *table)
-        if (std::ranges::find(names, name.str()) == names.end())
-          refuse(
-              value,
-              value.is_table()
-                  ? fmt::format(
-                        "{}.{} is no file of [files]; a name with a dot needs quotes: [files.\"{}.{}\"]",
-                        key.str(), name.str(), key.str(), name.str())
-                  : fmt::format("{0} is no regressor that is per file; declare {0} = {{per_file = true}} in "
-                                "[regressors]",
-                                name.str()));
-      for (const std::string& name : names) {
-        if (!table->contains(name))
-          refuse(node, fmt::format("[files.\"{}\"] lacks {}", key.str(), name));
-        else
-          file.values.push_back(finite(*table, name));
+      for (const DriveRegressor& regressor : model.regressors) {
+        if (!regressor.per_file) continue;
+        if (!reader.has(regressor.name))
+          reader.refuse(regressor.name, fmt::format("[files.\"{}\"] lacks {}", key.str(), regressor.name));
+        double value = 0.0;
+        reader.number(regressor.name, value);
+        file.values.push_back(value);
       }
       model.files.push_back(std::move(file));
     }
   }
 
-  void read_columns(const toml::table& columns, ColumnMap& map) {
-    known(columns, "[columns]", {"time", "torque", "position", "load_position", "velocity", "drive_enabled"});
+  static void refuse_foreign(TableReader& reader, std::string_view file, std::string_view name,
+                             const toml::node& value, const DriveModel& model) {
+    const auto known = [&](const DriveRegressor& each) { return each.per_file && each.name == name; };
+    if (std::ranges::any_of(model.regressors, known)) return;
+    reader.refuse(name, value.is_table()
+                            ? fmt::format("{0}.{1} is no file of [files]; a name with a dot needs quotes: "
+                                          "[files.\"{0}.{1}\"]",
+                                          file, name)
+                            : fmt::format("{0} is no regressor that is per file; declare {0} = {{per_file = "
+                                          "true}} in [regressors]",
+                                          name));
+  }
+
+  void read_columns(TableReader& columns, const toml::table& table, DriveModel& model) {
     for (const std::string_view required : {"time", "torque"})
-      if (!columns.contains(required)) refuse(columns, fmt::format("columns.{} is missing", required));
-    if (!columns.contains("position") && !columns.contains("velocity"))
-      refuse(columns, "columns.position or columns.velocity is needed");
+      if (!columns.has(required)) columns.refuse(required, fmt::format("columns.{} is missing", required));
+    if (!columns.has("position") && !columns.has("velocity"))
+      columns.refuse("position", "columns.position or columns.velocity is needed");
+    ColumnMap& map = model.columns;
     map.time = source(columns, "time").value_or(ColumnSource{});
     map.torque = source(columns, "torque").value_or(ColumnSource{});
     map.position = source(columns, "position");
     map.velocity = source(columns, "velocity");
     map.drive_enabled = source(columns, "drive_enabled");
-    if (map.time.scale < 0.0) refuse(*columns.get("time"), "the scale of time must be positive");
+    load_position_ = source(columns, "load_position");
+    if (map.time.scale < 0.0) columns.refuse("time", "the scale of time must be positive");
+    for (const auto& [key, late_s] : {std::pair{"time", map.time.late_s},
+                                      {"drive_enabled", map.drive_enabled ? map.drive_enabled->late_s : 0.0}})
+      if (late_s != 0.0)
+        columns.refuse(key, fmt::format("{} cannot be late; give late_s of the readings", key));
+    if (load_position_ && !map.position)
+      columns.refuse("load_position", "columns.load_position needs columns.position, to be compared with");
+    model.load_position = load_position_.has_value();
+    columns.finish();  // before the names of the table are taken as given
     std::vector<std::string> used;
-    for (const auto& [key, node] : columns) {
+    for (const auto& [key, node] : table) {
       const std::optional<ColumnSource> each = source(columns, key.str());
-      if (!each) continue;
-      for (const std::string& other : used)
-        if (other == each->column) refuse(node, fmt::format("column {} is used twice", each->column));
+      if (!each) return;
+      if (std::ranges::find(used, each->column) != used.end())
+        columns.refuse(key.str(), fmt::format("column {} is used twice", each->column));
       used.push_back(each->column);
     }
   }
 
-  void read_load_position(const toml::table& columns, DriveModel& model) {
-    const std::optional<ColumnSource> load = source(columns, "load_position");
-    if (!load) return;
-    if (!model.columns.position)
-      refuse(*columns.get("load_position"),
-             "columns.load_position needs columns.position, to be compared with");
-    model.columns.others.emplace_back("load_position", *load);
-    model.load_position = true;
+  void read_data(TableReader& data, const toml::table&, DriveModel& model) {
+    data.boolean("steady", model.steady);
+    data.boolean("torque_held", model.torque_held);
+    data.number("cut_off_Hz", model.cut_off_Hz, kAboveZero, kGreatest);
+    data.number("good_enough", model.good_enough, kAboveZero, kGreatest);
+    data.integer("skip_lines", model.columns.skip_lines, 1, 1'000'000);
   }
 
-  void read_data(const toml::table& data, DriveModel& model) {
-    known(data, "[data]", {"steady", "torque_held", "cut_off_Hz", "good_enough", "skip_lines"});
-    for (const auto& [key, target] :
-         {std::pair{"steady", &model.steady}, {"torque_held", &model.torque_held}}) {
-      const toml::node* node = data.get(key);
+  void read_parts(TableReader& parts, const toml::table&, DriveModel& model) {
+    for (std::size_t i = 0; i < kDriveTermCount; ++i) {
+      const toml::node* node = parts.at(kDriveTermNames[i]);
       if (node == nullptr) continue;
-      if (!node->is_boolean()) refuse(*node, fmt::format("{} must be true or false", key));
-      *target = node->value_or(false);
-    }
-    if (const auto cut_off = number(data, "cut_off_Hz", true)) model.cut_off_Hz = *cut_off;
-    if (const auto share = number(data, "good_enough", true)) model.good_enough = *share;
-    if (const auto lines = number(data, "skip_lines", true))
-      model.columns.skip_lines = static_cast<int>(std::min(*lines, 1e6));
-  }
-
-  void read_parts(const toml::table& parts, DriveModel& model) {
-    for (const auto& [key, node] : parts) {
-      std::size_t term = 0;
-      while (term < kDriveTermCount && kDriveTermNames[term] != key.str()) ++term;
-      if (term == kDriveTermCount) {
-        refuse(node, fmt::format("unknown key {} in [model]; known are {}", key.str(),
-                                 fmt::join(kDriveTermNames, ", ")));
+      const bool base = i < kBaseTerms;
+      DrivePart& part = model.parts[i];
+      if (base && node->is_number()) {
+        part.use = PartUse::Fixed;
+        parts.number(kDriveTermNames[i], part.value);
         continue;
       }
-      DrivePart& part = model.parts[term];
-      const bool base = term < kBaseTerms;
-      const std::string use = node.is_string() ? node.value_or(std::string{}) : std::string{};
-      if (use == "estimate") {
+      const std::string use = node->value_or(std::string{});
+      if (use == "estimate")
         part.use = PartUse::Estimate;
-      } else if (use == "off") {
+      else if (use == "off")
         part.use = PartUse::Off;
-      } else if (use == "candidate" && !base) {
+      else if (use == "candidate" && !base)
         part.use = PartUse::Candidate;
-      } else if (base && node.is_number() && std::isfinite(node.value_or(0.0))) {
-        part = {PartUse::Fixed, node.value_or(0.0)};
-      } else {
-        refuse(node, fmt::format("{} must be {}", key.str(),
-                                 base ? "\"estimate\", \"off\" or a number"
-                                      : "\"candidate\", \"estimate\" or \"off\""));
-      }
+      else
+        parts.refuse(kDriveTermNames[i], fmt::format("{} must be {}", kDriveTermNames[i],
+                                                     base ? "\"estimate\", \"off\" or a number"
+                                                          : "\"candidate\", \"estimate\" or \"off\""));
     }
   }
+
+  const std::string& file_;
+  std::optional<Error>& error_;
+  std::optional<ColumnSource> load_position_;
 };
 
 }  // namespace
 
 Result<DriveModel> parse_drive_model(const std::string& text, const std::string& path) {
-  try {
-    const toml::table document = toml::parse(text, path);
-    ModelReader reader(document, path);
-    DriveModel model = reader.read();
-    if (reader.error()) return tl::unexpected(*reader.error());
-    return model;
-  } catch (const toml::parse_error& error) {
-    const toml::source_position at = error.source().begin;
-    return failure(
-        fmt::format("{}:{}:{}: not valid TOML: {}", path, at.line, at.column, error.description()));
-  }
+  const Result<toml::table> document = parse_toml(text, path);
+  if (!document) return tl::unexpected(document.error());
+  std::optional<Error> error;
+  DriveModel model = ModelReader(path, error).read(*document);
+  if (error) return tl::unexpected(*error);
+  return model;
 }
 
 Result<DriveModel> read_drive_model(const std::string& path) {

@@ -176,6 +176,17 @@ TEST(FittedDriveFile, ErrorsSayWhatIsWrongAndWhere) {
       HasSubstr("[fitted] is missing"));
   EXPECT_THAT(error_of(replaced("torque-offset'", "torque-ofset'")), StartsWith("saved.toml:"));
   EXPECT_THAT(error_of(replaced("lag_s = ", "lag_s = nan #")), HasSubstr("lag_s must be a finite number"));
+  EXPECT_THAT(error_of(replaced("lag_s = ", "leg_s = ")), HasSubstr("did you mean lag_s?"));
+  EXPECT_THAT(error_of(replaced("factor = 'power'", "factor = 'powder'")),
+              HasSubstr("factor must be one of one, power, "));
+  EXPECT_THAT(error_of(replaced("coefficients = [ ", "coefficients = [ nan, ")),
+              HasSubstr("coefficients must hold finite numbers only"));
+  EXPECT_THAT(error_of(replaced("coefficients = [ ", "coefficients = [ 1, ")),
+              HasSubstr("needs as many functions as coefficients"));
+  EXPECT_THAT(error_of(replaced("covariance = [", "covariance = [ [1.0], ")),
+              HasSubstr("one for each coefficient"));
+  EXPECT_THAT(error_of(replaced("covariance = [", "covariance = [ ['1.0'], ")),
+              HasSubstr("covariance must hold finite numbers only"));
 }
 
 }  // namespace

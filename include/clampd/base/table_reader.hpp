@@ -30,6 +30,12 @@ class TableReader {
       : table_(table), section_(std::move(section)), file_(file), error_(error) {}
 
   void number(std::string_view key, double& target, double least, double most);
+  /// Any finite number.
+  void number(std::string_view key, double& target);
+  /// An array of finite numbers.
+  void numbers(std::string_view key, std::vector<double>& target);
+  /// An array of arrays of finite numbers.
+  void rows_of_numbers(std::string_view key, std::vector<std::vector<double>>& target);
   void boolean(std::string_view key, bool& target);
   void text(std::string_view key, std::string& target, std::size_t longest = 200);
   /// One of the given texts.
@@ -50,6 +56,8 @@ class TableReader {
   /// Nothing if absent or an error.
   const toml::table* table(std::string_view key);
   const toml::array* array_of_tables(std::string_view key);
+  /// What may be of several types: as it stands there.
+  const toml::node* at(std::string_view key);
   bool has(std::string_view key) const { return table_.contains(key); }
 
   /// Refuses unknown keys, naming the nearest known one.
@@ -57,11 +65,15 @@ class TableReader {
 
   /// Keeps the first error.
   void refuse(const toml::source_region& where, std::string_view message);
+  /// At the key, or at the table if it lacks the key.
+  void refuse(std::string_view key, std::string_view message);
+
+  /// "section.key", for messages.
+  std::string name(std::string_view key) const;
 
  private:
-  const toml::node* find(std::string_view key);
+  void read_numbers(std::string_view key, const toml::node& node, std::vector<double>& target);
   bool read_integer(std::string_view key, std::int64_t& value, std::int64_t least, std::int64_t most);
-  std::string name(std::string_view key) const;
 
   const toml::table& table_;
   std::string section_;
