@@ -47,6 +47,10 @@ Eigen::VectorXd variable_of(const Design& design, std::string_view name, const D
 /// with few rows.
 double explainable_share(const Design& design, const TorqueModel& model, const DriveModel& drive);
 
+/// As many independent rows leave as much information as the model's residuals: rows over the sum of their
+/// autocorrelation up to its first zero.
+double independent_rows(const Design& design, const TorqueModel& model);
+
 std::vector<MisfitTest> tests_of(const Design& design, const TorqueModel& model, const Remainder& remainder,
                                  std::string_view effort);
 

@@ -2,11 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <optional>
 
 #include <fmt/format.h>
 
 #include "clampd/base/nan.hpp"
+#include "clampd/statistics/distributions.hpp"
 #include "src/drive/remainder.hpp"
 
 namespace clampd::drive {
@@ -53,6 +55,8 @@ class Withdrawal {
         notices_(notices) {}
 
   void approximations();
+  void what_another_shape_would_take();
+  void what_wanders();
   void names_beside_two_others();
   void what_leans_on_the_rest();
   std::optional<std::string> what_takes_the_inertia();
@@ -108,6 +112,75 @@ void Withdrawal::approximations() {
     notices_.push_back(fmt::format("{} would explain less than what would still depend on {}",
                                    fmt::join(names, ", "), variable));
     best_ = std::move(smaller);
+  }
+}
+
+/// A name beside another one, where what is left is no noise, may only mend the other's shape: a stop at the
+/// end of the travel looks like a spring and waves over the position. It stays if it leaves next to nothing,
+/// or takes more than a free function of the other's variable would in its place.
+void Withdrawal::what_another_shape_would_take() {
+  constexpr double kAsMuch = 0.8, kNearlyNothing = 0.05;
+  while (effects() > 1.0 && !left_by(best_).is_noise()) {
+    const double left = design_.residuals(best_.fit).squaredNorm();
+    std::optional<TorqueModel> without_weakest;
+    std::string weakest, shape;
+    double least = std::numeric_limits<double>::infinity();
+    for (std::size_t p = 0; p < best_.parts.size(); ++p) {
+      if (!is_effect(selection_, best_.parts[p])) continue;
+      TorqueModel smaller = selector_.without(best_, p);
+      if (!smaller.ok()) continue;
+      const Eigen::VectorXd rest = design_.residuals(smaller.fit);
+      const double taken = rest.squaredNorm() - left;
+      if (left < kNearlyNothing * rest.squaredNorm()) continue;
+      for (const Variant& other : smaller.parts) {
+        const std::string_view variable = variable_of_term(other.term);
+        if (!is_effect(selection_, other) || variable.empty() || taken >= least) continue;
+        const double free = free_function_share(design_, rest, variable_of(design_, variable, model_));
+        if (free * rest.squaredNorm() < kAsMuch * taken) continue;
+        least = taken;
+        weakest = best_.parts[p].name;
+        shape = fmt::format("{} of another shape over the {}", other.name, variable);
+        without_weakest = smaller;
+      }
+    }
+    if (!without_weakest) return;
+    notices_.push_back(fmt::format("{} would explain no more than {}", weakest, shape));
+    best_ = std::move(*without_weakest);
+  }
+}
+
+/// What is left and smooth in time holds far fewer independent rows than it has, and whatever is as slow
+/// takes a part of it by chance: a load that wanders has a mean. Names stay if Fisher's F of what they take
+/// is significant for that number of rows.
+void Withdrawal::what_wanders() {
+  constexpr double kSignificant = 1e-3;
+  while (has_effects() && !left_by(best_).is_noise()) {
+    const double left = design_.residuals(best_.fit).squaredNorm();
+    const double degrees =
+        independent_rows(design_, best_) - static_cast<double>(best_.fit.coefficients.size());
+    std::optional<TorqueModel> without_weakest;
+    std::string weakest;
+    double largest = kSignificant;
+    for (std::size_t p = 0; p < best_.parts.size(); ++p) {
+      if (!is_effect(selection_, best_.parts[p])) continue;
+      TorqueModel smaller = selector_.without(best_, p);
+      const auto terms = static_cast<double>(best_.fit.coefficients.size() - smaller.fit.coefficients.size());
+      if (!smaller.ok() || terms < 1.0) continue;
+      const double taken = design_.residuals(smaller.fit).squaredNorm() - left;
+      const double p_value =
+          degrees < 1.0
+              ? 1.0
+              : statistics::fisher_f_p_value(std::max(0.0, taken) / left * degrees / terms, terms, degrees);
+      if (p_value <= largest) continue;
+      largest = p_value;
+      weakest = best_.parts[p].name;
+      without_weakest = std::move(smaller);
+    }
+    if (!without_weakest) return;
+    notices_.push_back(fmt::format(
+        "{} would explain what may be chance: what is left changes slowly, like {:.0f} independent rows",
+        weakest, independent_rows(design_, best_)));
+    best_ = std::move(*without_weakest);
   }
 }
 
@@ -258,6 +331,8 @@ Selection selected_effects(Selector& selector, const Design& design, const Drive
     withdraw.approximations();
     std::optional<std::string> none = withdraw.what_takes_the_inertia();
     if (!none) {
+      withdraw.what_another_shape_would_take();
+      withdraw.what_wanders();
       withdraw.names_beside_two_others();
       withdraw.what_leans_on_the_rest();
       none = withdraw.what_takes_the_inertia();
