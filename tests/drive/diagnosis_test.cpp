@@ -344,6 +344,35 @@ TEST(DriveDiagnosis, AFurtherNameHasToTakeMoreThanWhatIsLeftStillShows) {
   EXPECT_THAT(names(diagnosis), ::testing::Not(::testing::Contains("cogging"))) << diagnosis.summary;
 }
 
+// A load that changes slowly and at random has a mean, and resembles whatever is as slow, in one short run.
+TEST(DriveDiagnosis, ALoadThatWandersHasNoName) {
+  for (unsigned seed = 1; seed <= 6; ++seed) {
+    std::mt19937_64 random(seed);
+    std::normal_distribution<double> normal;
+    constexpr double kMemory_s = 3.0, kStep_s = 0.01;
+    std::vector<double> path{0.06 * normal(random)};
+    while (path.size() < 1300)
+      path.push_back(path.back() * (1.0 - kStep_s / kMemory_s) +
+                     0.06 * std::sqrt(2.0 * kStep_s / kMemory_s) * normal(random));
+    Truth truth;
+    truth.load = [path](double t) { return path[static_cast<std::size_t>(t / kStep_s)]; };
+    const DriveRun run = simulate(truth, 0, 500 + seed);
+    const Diagnosis diagnosis = diagnosed(std::span(&run, 1));
+    EXPECT_EQ(diagnosis.verdict, DiagnosisVerdict::Unexplained) << seed << ": " << diagnosis.summary;
+    EXPECT_THAT(names(diagnosis), IsEmpty()) << seed;
+  }
+}
+
+// A soft stop at one end of the travel is on no list. It resembles a spring, and nothing else beside it.
+TEST(DriveDiagnosis, ASoftStopIsNothingBesideASpring) {
+  for (const double place : {6.0, 9.0, 12.0, 15.0}) {
+    Truth truth;
+    truth.extra = [place](double q, double, int) { return q > place ? 0.06 * (q - place) : 0.0; };
+    const Diagnosis diagnosis = diagnosed(simulate_set(truth, 310));
+    for (const std::string& name : names(diagnosis)) EXPECT_EQ(name, "load-position") << place;
+  }
+}
+
 TEST(DriveDiagnosis, HeldOutRunsHaveAVeto) {
   // A ripple whose phase is another one after the position was lost.
   Truth truth, other;
