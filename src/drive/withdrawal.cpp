@@ -153,11 +153,10 @@ void Withdrawal::what_another_shape_would_take() {
 /// takes a part of it by chance: a load that wanders has a mean. Names stay if Fisher's F of what they take
 /// is significant for that number of rows.
 void Withdrawal::what_wanders() {
-  constexpr double kSignificant = 1e-3;
+  constexpr double kSignificant = 0.01;
   while (has_effects() && !left_by(best_).is_noise()) {
     const double left = design_.residuals(best_.fit).squaredNorm();
-    const double degrees =
-        independent_rows(design_, best_) - static_cast<double>(best_.fit.coefficients.size());
+    const double rows = independent_rows(design_, best_);
     std::optional<TorqueModel> without_weakest;
     std::string weakest;
     double largest = kSignificant;
@@ -166,11 +165,10 @@ void Withdrawal::what_wanders() {
       TorqueModel smaller = selector_.without(best_, p);
       const auto terms = static_cast<double>(best_.fit.coefficients.size() - smaller.fit.coefficients.size());
       if (!smaller.ok() || terms < 1.0) continue;
-      const double taken = design_.residuals(smaller.fit).squaredNorm() - left;
+      const double taken = std::max(0.0, design_.residuals(smaller.fit).squaredNorm() - left);
+      const double degrees = rows - terms - 1.0;
       const double p_value =
-          degrees < 1.0
-              ? 1.0
-              : statistics::fisher_f_p_value(std::max(0.0, taken) / left * degrees / terms, terms, degrees);
+          degrees < 1.0 ? 1.0 : statistics::fisher_f_p_value(taken / left * degrees / terms, terms, degrees);
       if (p_value <= largest) continue;
       largest = p_value;
       weakest = best_.parts[p].name;
@@ -179,7 +177,7 @@ void Withdrawal::what_wanders() {
     if (!without_weakest) return;
     notices_.push_back(fmt::format(
         "{} would explain what may be chance: what is left changes slowly, like {:.0f} independent rows",
-        weakest, independent_rows(design_, best_)));
+        weakest, rows));
     best_ = std::move(*without_weakest);
   }
 }
