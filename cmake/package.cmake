@@ -20,7 +20,7 @@ endforeach()
 file(CONFIGURE OUTPUT ${STATION_CONFIGURATION} CONTENT "${STATION_TEXT}" @ONLY)
 
 install(TARGETS clampd clampctl clampd-plant clampd-worker)
-install(DIRECTORY configs/drives configs/brakes DESTINATION ${CMAKE_INSTALL_DATADIR}/clampd)
+install(DIRECTORY configs/drives configs/brakes configs/prometheus DESTINATION ${CMAKE_INSTALL_DATADIR}/clampd)
 install(FILES ${STATION_CONFIGURATION} configs/brake.dbc configs/limits.toml configs/plant.toml configs/sheet.toml
   configs/trajectory.csv
   DESTINATION /etc/clampd)
@@ -32,7 +32,7 @@ install(FILES systemd/clampd.tmpfiles DESTINATION /usr/lib/tmpfiles.d RENAME cla
 install(FILES systemd/clampd.modules DESTINATION /usr/lib/modules-load.d RENAME clampd.conf)
 install(FILES systemd/clampd.udev DESTINATION /lib/udev/rules.d RENAME 60-clampd.rules)
 install(FILES README.md ARCHITECTURE.md CHANGELOG.md DESTINATION ${CMAKE_INSTALL_DOCDIR})
-install(FILES docs/api.md docs/attribution.md docs/diagnosis.md docs/diagnosis.svg docs/line.md docs/recipes.md docs/sheet.md
+install(FILES docs/api.md docs/attribution.md docs/diagnosis.md docs/diagnosis.svg docs/line.md docs/metrics.md docs/recipes.md docs/sheet.md
   DESTINATION ${CMAKE_INSTALL_DOCDIR}/docs)
 install(FILES LICENSE DESTINATION ${CMAKE_INSTALL_DOCDIR} RENAME copyright)
 install(DIRECTORY systemd/examples DESTINATION ${CMAKE_INSTALL_DOCDIR})

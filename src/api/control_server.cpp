@@ -19,6 +19,7 @@
 #include <openssl/crypto.h>
 #include <spdlog/spdlog.h>
 
+#include "clampd/http/metrics.hpp"
 #include "clampd/http/server.hpp"
 #include "src/api/token_file.hpp"
 
@@ -279,6 +280,9 @@ void ControlServer::Api::add_station_routes(ControlTarget& target) {
                      }});
   routes_.push_back({"GET", "/v1/status", kStation, [&target](const Request&, const Names&) {
                        return answer(nlohmann::json(target.status()));
+                     }});
+  routes_.push_back({"GET", "/metrics", kStation, [&target](const Request&, const Names&) {
+                       return Response{200, target.metrics(), http::Metrics::kType};
                      }});
   routes_.push_back({"GET",
                      "/v1/checks/current",

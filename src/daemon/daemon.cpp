@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include "clampd/api/metrics.hpp"
 #include "clampd/archive/json.hpp"
 #include "clampd/base/clock.hpp"
 #include "clampd/base/version.hpp"
@@ -130,6 +131,7 @@ void Daemon::pump() {
 void Daemon::keep(CheckRecord record) {
   spdlog::info("check {} of {}: {}. {}", record.id, record.serial, to_string(record.verdict), record.reason);
   if (record.tare_force_sd_N > 0.0) force_zero_N_ = record.tare_force_N;
+  ++verdicts_.at(static_cast<std::size_t>(record.verdict));
   last_record_ = std::move(record);
   if (publishing_) publishing_->notify();
   records_due_ns_ = 0;
@@ -347,6 +349,16 @@ api::StationStatus Daemon::status() {
     status.publishing.push_back({channel.channel, channel.where, channel.connected, channel.pending,
                                  channel.oldest_age_s, channel.error});
   return status;
+}
+
+std::string Daemon::metrics() {
+  const api::StationStatus now = status();
+  api::StationCounts counts{{}, core_.health(), loop_.statistics().lateness.snapshot()};
+  {
+    const std::lock_guard lock(mutex_);
+    counts.verdicts = verdicts_;
+  }
+  return api::station_metrics(now, counts);
 }
 
 namespace {

@@ -19,6 +19,7 @@
 #include <gtest/gtest.h>
 
 #include "clampd/api/messages.hpp"
+#include "clampd/api/metrics.hpp"
 #include "clampd/api/secret_file.hpp"
 #include "clampd/http/client.hpp"
 #include "support/command.hpp"
@@ -45,6 +46,11 @@ class ToyStation final : public ControlTarget {
     status.next_serial = next_serial;
     status.panel = {{"gpiochip0 line 4 (emergency stop)", "emergency stop", "closed"}};
     return status;
+  }
+  std::string metrics() override {
+    api::StationStatus status;
+    status.state = "IDLE";
+    return station_metrics(status, {});
   }
   rt::StartTicket ticket() const override { return {}; }
   Result<api::StartedCheck> start(const CheckRequest& request, const rt::StartTicket&,
@@ -558,6 +564,22 @@ TEST_F(ControlApi, StatusIsAnsweredWhileTheArchiveWaits) {
   station_.wait_for_waiting(2);
   EXPECT_EQ(get("/v1/reference").status, 200) << "by the worker that also says what the station does now";
   EXPECT_EQ(post("/v1/next", R"({"serial":"X"})", bearer()).status, 200);
+}
+
+TEST_F(ControlApi, MetricsNeedNoTokenAndDoNotWaitForTheArchive) {
+  station_.hold();
+  std::vector<Connection> waiting;
+  for (int i = 0; i < 2; ++i) {
+    waiting.emplace_back(server_->port());
+    waiting.back().send("GET /v1/results HTTP/1.1\r\nHost: localhost\r\n\r\n");
+  }
+  station_.wait_for_waiting(2);
+  const http::Answer scrape = get("/metrics");
+  EXPECT_EQ(scrape.status, 200);
+  EXPECT_THAT(scrape.header("Content-Type"), StartsWith("text/plain; version=0.0.4"));
+  EXPECT_THAT(scrape.body, HasSubstr("\nclampd_state{state=\"IDLE\"} 1\n"));
+  EXPECT_EQ(post("/metrics", "{}", bearer()).status, 405);
+  EXPECT_EQ(get("/metrics?x=1").status, 400);
 }
 
 TEST_F(ControlApi, AStopIsAnsweredUnderAThousandSilentAndSlowClients) {

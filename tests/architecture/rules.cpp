@@ -259,7 +259,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
        {"simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "publish", "archive", "station", "sheet", "experiment", "identify",
         "brake", "record", "base"}},
       {"http", {"base"}},
-      {"api", {"http", "rt", "archive", "station", "record", "base"}},
+      {"api", {"http", "rt", "ports", "archive", "station", "record", "base"}},
       {"daemon", {"api", "bench", "rt", "drivers/can", "drivers/gpio", "views", "line", "archive", "record", "base"}},
       {"tools/cli", {"record", "base"}},
       {"tools/dashboard", {"api"}},

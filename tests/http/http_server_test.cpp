@@ -6,6 +6,7 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <cmath>
 #include <condition_variable>
 #include <mutex>
 #include <new>
@@ -18,6 +19,7 @@
 #include <gtest/gtest.h>
 
 #include "clampd/http/client.hpp"
+#include "clampd/http/metrics.hpp"
 #include "support/connection.hpp"
 
 namespace clampd::http {
@@ -279,6 +281,26 @@ TEST_F(HttpServer, AnAddressThatIsTakenIsAnError) {
   const auto second = Server::start(settings_, [](const Request&) { return refusal(404, ""); });
   ASSERT_FALSE(second);
   EXPECT_THAT(second.error().message, HasSubstr("Address already in use"));
+}
+
+TEST(PrometheusText, IsValidWhateverStandsInALabel) {
+  Metrics metrics;
+  metrics.family("a_total", "counter", "Two\nlines\\.");
+  metrics.sample(3.0, {{"station", "say \"hi\"\\\n"}, {"kind", "x"}});
+  metrics.sample(0.1);
+  metrics.family("b", "gauge", "None.");
+  metrics.sample(std::nan(""));
+  metrics.sample(-INFINITY);
+  metrics.family("c_seconds", "histogram", "Some.");
+  metrics.buckets(std::vector<std::pair<double, double>>{{1e-3, 2.0}, {1.0, 5.0}}, 7.5, 6.0);
+  EXPECT_EQ(
+      metrics.text(),
+      "# HELP a_total Two\\nlines\\\\.\n# TYPE a_total counter\n"
+      "a_total{station=\"say \\\"hi\\\"\\\\\\n\",kind=\"x\"} 3\na_total 0.1\n"
+      "# HELP b None.\n# TYPE b gauge\nb NaN\nb -Inf\n"
+      "# HELP c_seconds Some.\n# TYPE c_seconds histogram\n"
+      "c_seconds_bucket{le=\"0.001\"} 2\nc_seconds_bucket{le=\"1\"} 5\nc_seconds_bucket{le=\"+Inf\"} 6\n"
+      "c_seconds_sum 7.5\nc_seconds_count 6\n");
 }
 
 TEST(HttpMessage, TargetsAreDecodedStrictly) {

@@ -26,6 +26,8 @@ class ControlTarget {
  public:
   virtual ~ControlTarget() = default;
   virtual StationStatus status() = 0;
+  /// The station as Prometheus scrapes it: station_metrics().
+  virtual std::string metrics() = 0;
   /// Taken when a request to start something arrives, before anything is waited for; takes no lock.
   virtual rt::StartTicket ticket() const = 0;
   /// `stops_seen`: StationStatus::stops as whoever asks has seen it; refused if it is another by now.

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <functional>
 #include <future>
@@ -50,6 +51,7 @@ class Daemon final : public api::ControlTarget {
   std::string headline() const;
 
   api::StationStatus status() override;
+  std::string metrics() override;
   rt::StartTicket ticket() const override;
   Result<api::StartedCheck> start(const CheckRequest& request, const rt::StartTicket& ticket,
                                       std::optional<std::uint64_t> stops_seen) override;
@@ -106,6 +108,7 @@ class Daemon final : public api::ControlTarget {
   bool serving_ = false;
   std::uint64_t check_number_ = 0;
   std::optional<CheckRecord> last_record_;
+  std::array<std::uint64_t, 5> verdicts_{};  ///< since the daemon started, in the order of Verdict
   std::optional<CheckRequest> next_;  ///< what the start button checks
   ClockWatch clock_watch_;
   std::string clock_;                ///< that it was set since the last check began

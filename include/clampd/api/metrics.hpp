@@ -1,0 +1,24 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+
+#include "clampd/api/messages.hpp"
+#include "clampd/ports/brake_port.hpp"
+#include "clampd/record/check_record.hpp"
+#include "rt/histogram.hpp"
+
+namespace clampd::api {
+
+/// What a station has counted since its daemon started.
+struct StationCounts {
+  std::array<std::uint64_t, 5> verdicts{};  ///< of saved checks, in the order of Verdict
+  PortHealth bus = {};
+  rt::HistogramSnapshot lateness = {};  ///< of the loop's wake-ups
+};
+
+/// The station as Prometheus scrapes it (docs/metrics.md), in its text format.
+std::string station_metrics(const StationStatus& status, const StationCounts& counts);
+
+}  // namespace clampd::api
