@@ -236,15 +236,17 @@ Result<Written> Queue::give_back(const Claim& claim) {
       .map([&] { return written; });
 }
 
-Result<std::int64_t> Queue::left() {
-  std::int64_t left = 0;
+Result<OpenTasks> Queue::open_tasks() {
+  OpenTasks open;
   return connection_
       .guarded([&](pqxx::connection& connection) {
         pqxx::work transaction(connection);
-        left = transaction.exec1("SELECT count(*) FROM clampd.queue WHERE state IN ('waiting', 'claimed')")[0]
-                   .as<std::int64_t>();
+        const pqxx::row row = transaction.exec1(
+            "SELECT count(*) FILTER (WHERE state = 'waiting'), count(*) FILTER (WHERE state = 'claimed') "
+            "FROM clampd.queue WHERE state IN ('waiting', 'claimed')");
+        open = {row[0].as<std::int64_t>(), row[1].as<std::int64_t>()};
       })
-      .map([&] { return left; });
+      .map([&] { return open; });
 }
 
 }  // namespace clampd::reanalysis

@@ -8,6 +8,7 @@
 #include "clampd/base/result.hpp"
 #include "clampd/publish/wake_event.hpp"
 #include "clampd/reanalysis/analysis.hpp"
+#include "clampd/reanalysis/worker.hpp"
 #include "src/publish/postgresql_connection.hpp"
 
 namespace clampd::reanalysis {
@@ -55,8 +56,7 @@ class Queue {
   Result<Written> finish(const Claim& claim, const std::string& document, const std::string& worker);
   Result<Written> fail(const Claim& claim, const std::string& reason);
   Result<Written> give_back(const Claim& claim);
-  /// Rows that are waiting or claimed.
-  Result<std::int64_t> left();
+  Result<OpenTasks> open_tasks();
 
  private:
   publish::PostgresqlConnection connection_;

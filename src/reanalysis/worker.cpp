@@ -36,12 +36,15 @@ class Worker {
   Result<const Task*> task_of(const Claim& claim);
   Result<void> settle(const Claim& claim, const std::function<Result<Written>()>& write, std::int64_t& count);
   Result<void> settle_failure(const Claim& claim, const std::string& reason);
+  void report();
 
   const WorkerOptions& options_;
   publish::WakeEvent& wake_;
   Queue queue_;
   publish::Backoff backoff_;
-  WorkerSummary summary_;
+  WorkerStatus status_;
+  WorkerSummary& summary_ = status_.summary;
+  Clock::time_point count_due_ = Clock::now();
   std::string task_sha256_;  ///< of the task that was read last; most claims in a row are of one job
   Result<Task> task_ = failure("none read");
 };
@@ -137,25 +140,42 @@ Result<void> Worker::perform(const Claim& claim) {
 Result<Worker::Step> Worker::step() {
   const Result<std::optional<Claim>> claim = queue_.claim(options_.name, options_.lease);
   if (!claim) return tl::unexpected(claim.error());
-  if (*claim) return perform(**claim).map([] { return Step::Worked; });
+  if (*claim) {
+    const Clock::time_point begin = Clock::now();
+    const Result<void> performed = perform(**claim);
+    status_.busy_s += std::chrono::duration<double>(Clock::now() - begin).count();
+    return performed.map([] { return Step::Worked; });
+  }
   if (!options_.until_empty) return Step::Waiting;
   // What others have claimed may come back.
-  return queue_.left().map([](std::int64_t left) { return left == 0 ? Step::Empty : Step::Waiting; });
+  return queue_.open_tasks().map(
+      [](const OpenTasks& open) { return open.waiting + open.claimed == 0 ? Step::Empty : Step::Waiting; });
+}
+
+void Worker::report() {
+  if (!options_.report) return;
+  if (status_.connected && Clock::now() >= count_due_) {
+    // Where the count fails, the next step says why.
+    if (const Result<OpenTasks> open = queue_.open_tasks()) status_.open = *open;
+    count_due_ = Clock::now() + options_.count_every;
+  }
+  options_.report(status_);
 }
 
 Result<WorkerSummary> Worker::run() {
-  bool connected = false;
   while (!wake_.stopped()) {
-    if (!connected) {
+    report();
+    if (!status_.connected) {
       const Result<std::string> refusal = connect();
       if (refusal && !refusal->empty()) return failure(*refusal);
-      connected = refusal.has_value();
-      if (!connected) wait_for_server(refusal.error());
+      status_.connected = refusal.has_value();
+      if (!status_.connected) wait_for_server(refusal.error());
       continue;
     }
     const Result<Step> step = this->step();
     if (!step) {
-      connected = false;
+      status_.connected = false;
+      report();
       wait_for_server(step.error());
     } else if (*step == Step::Empty) {
       break;

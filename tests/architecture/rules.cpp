@@ -265,7 +265,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"tools/dashboard", {"api"}},
       {"tools/reproduce", {"simulation", "views", "experiment", "identify", "record", "base"}},
       {"tools/clampd-plant", {"tools/cli", "bench", "simulation", "rt", "drivers/can", "base"}},
-      {"tools/clampd-worker", {"tools/cli", "reanalysis", "publish", "station", "base"}},
+      {"tools/clampd-worker", {"tools/cli", "http", "reanalysis", "publish", "station", "base"}},
       {"tools/clampd", {"tools/dashboard", "tools/cli", "daemon", "api", "bench", "drivers/gpio", "base"}},
       {"tools/clampctl",
        {"tools/reproduce", "tools/cli", "reanalysis", "publish", "api", "bench", "simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "views", "line",

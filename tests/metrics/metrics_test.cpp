@@ -62,6 +62,22 @@ TEST(Metrics, RulesAndDashboardAskForWhatTheDaemonSays) {
   for (std::sregex_iterator at(scrape.body.begin(), scrape.body.end(), type), end; at != end; ++at)
     said.insert((*at)[1]);
   EXPECT_GE(said.size(), 15u);
+  // A worker says the same whether its database answers or not.
+  support::TemporaryDirectory folder;
+  const int worker_port = support::free_port();
+  const std::string config =
+      folder.write("worker.toml", "[postgresql]\nhost = \"127.0.0.1\"\nport = 1\ndatabase = \"line\"\n");
+  const screen::Program worker(
+      {CLAMPD_WORKER, "--config", config, "--metrics", fmt::format("127.0.0.1:{}", worker_port)},
+      folder.path("log"));
+  http::Call call;
+  call.path = "/metrics";
+  Result<http::Answer> of_worker;
+  ASSERT_TRUE(eventually([&] {
+    return (of_worker = http::exchange("127.0.0.1", worker_port, call)).has_value();
+  })) << folder.read("log");
+  for (std::sregex_iterator at(of_worker->body.begin(), of_worker->body.end(), type), end; at != end; ++at)
+    said.insert((*at)[1]);
 
   const std::string rules = text_of(kShipped + "clampd.rules.yml");
   const std::string dashboard = text_of(kShipped + "dashboard.json");
@@ -73,9 +89,11 @@ TEST(Metrics, RulesAndDashboardAskForWhatTheDaemonSays) {
   for (const auto& panel : nlohmann::json::parse(dashboard).at("panels"))
     EXPECT_FALSE(panel.at("targets").empty());
 
-  const std::string file = station.folder().write("scrape", scrape.body);
-  const support::Outcome lint = support::run_command("promtool check metrics <" + file);
-  EXPECT_EQ(lint.exit_code, 0) << lint.output;
+  for (const std::string& text : {scrape.body, of_worker->body}) {
+    const support::Outcome lint =
+        support::run_command("promtool check metrics <" + folder.write("scrape", text));
+    EXPECT_EQ(lint.exit_code, 0) << lint.output;
+  }
 }
 
 TEST(Metrics, AlertsComeWhenTheyShould) {
@@ -139,7 +157,7 @@ TEST(Metrics, ARealPrometheusFollowsAStation) {
   const auto becomes = [&](const std::string& query, double wanted) {
     return eventually([&] { return prometheus.value(query) == wanted; });
   };
-  EXPECT_TRUE(becomes("up", 1.0)) << folder.read("prometheus.log");
+  EXPECT_TRUE(becomes("up{job=\"clampd\"}", 1.0)) << folder.read("prometheus.log");
   EXPECT_TRUE(becomes(
       "clampd_state == 1 and on(state) label_replace(vector(1), \"state\", \"IDLE\", \"\", \"\")", 1.0));
   EXPECT_TRUE(becomes("sum(clampd_checks_total)", 0.0));
@@ -158,7 +176,7 @@ TEST(Metrics, ARealPrometheusFollowsAStation) {
               1.0));
 
   station.end(SIGKILL);
-  EXPECT_TRUE(becomes("up", 0.0));
+  EXPECT_TRUE(becomes("up{job=\"clampd\"}", 0.0));
   EXPECT_TRUE(becomes("ALERTS{alertname=\"ClampdStationAway\",alertstate=\"pending\"}", 1.0));
 }
 

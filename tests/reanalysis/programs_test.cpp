@@ -6,9 +6,11 @@
 #include <nlohmann/json.hpp>
 #include <pqxx/pqxx>
 
+#include "clampd/http/client.hpp"
 #include "reanalysis/archive_fixture.hpp"
 #include "support/command.hpp"
 #include "support/eventually.hpp"
+#include "support/network.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd::reanalysis {
@@ -67,6 +69,41 @@ TEST_F(ArchivePrograms, TheTaskOfAKilledWorkerIsDoneByAnother) {
   EXPECT_EQ(states(), "done done done done");
   EXPECT_EQ(ask("SELECT string_agg(attempts::text, '' ORDER BY attempts) FROM clampd.queue"), "1112");
   EXPECT_EQ(ask("SELECT count(*) FROM clampd.results"), "4");
+}
+
+TEST_F(ArchivePrograms, AWorkerSaysWhatItDoes) {
+  submit(task());
+  const int port = support::free_port();
+  const auto scraped = [&](const std::string& line) {
+    http::Call call;
+    call.path = "/metrics";
+    const auto answer = http::exchange("127.0.0.1", port, call);
+    return answer && answer->body.find("\n" + line + "\n") != std::string::npos;
+  };
+  support::ServerProcess worker;
+  {
+    pqxx::connection holder(server->connection());
+    pqxx::work held(holder);
+    held.exec("LOCK TABLE clampd.raw_runs IN ACCESS EXCLUSIVE MODE");
+    worker.start({CLAMPD_WORKER, "--config", config, "--name", "say \"me\"", "--metrics",
+                  fmt::format("127.0.0.1:{}", port)},
+                 folder.path("worker.log"));
+    EXPECT_TRUE(eventually([&] { return scraped("clampd_worker_connected 1"); }))
+        << folder.read("worker.log");
+    EXPECT_TRUE(scraped("clampd_queue_tasks{state=\"waiting\"} 4"));
+    EXPECT_TRUE(scraped("clampd_worker_tasks_total{result=\"done\"} 0"));
+  }
+  EXPECT_TRUE(eventually([&] { return scraped("clampd_worker_tasks_total{result=\"done\"} 4"); }));
+  const support::Outcome second = support::run_command(
+      fmt::format("{} --config {} --until-empty --metrics 127.0.0.1:{}", CLAMPD_WORKER, config, port));
+  EXPECT_EQ(second.exit_code, 2);
+  EXPECT_THAT(second.output, HasSubstr(fmt::format("--metrics 127.0.0.1:{}: ", port)));
+  for (const char* wrong : {"8372", ":8372", "127.0.0.1:", "127.0.0.1:99999", "127.0.0.1:83x"})
+    EXPECT_THAT(support::run_command(
+                    fmt::format("{} --config {} --until-empty --metrics {}", CLAMPD_WORKER, config, wrong))
+                    .output,
+                HasSubstr("give an address and a port"));
+  worker.end(SIGTERM);
 }
 
 TEST_F(ArchivePrograms, AStoppedWorkerGivesItsTaskBack) {

@@ -53,7 +53,7 @@ TEST_F(ArchiveQueue, GivesATaskToOneWorkerOnly) {
   const auto nothing = other->claim("other", 60s);
   ASSERT_TRUE(nothing) << nothing.error().message;
   EXPECT_FALSE(nothing->has_value());
-  EXPECT_EQ(other->left().value_or(-1), 1);
+  EXPECT_EQ(other->open_tasks().value_or(OpenTasks{-1, -1}).claimed, 1);
 }
 
 TEST_F(ArchiveQueue, PassesByARowThatAnotherIsJustClaiming) {
@@ -133,7 +133,7 @@ TEST_F(ArchiveQueue, ACancelledTaskTakesNoResultUntilItIsTriedAgain) {
   EXPECT_EQ(mine->finish(claim, "text", "mine").value_or(Written::Yes), Written::Lost);
   EXPECT_EQ(states(), "cancelled");
   EXPECT_EQ(ask("SELECT count(*) FROM clampd.results"), "0");
-  EXPECT_EQ(other->left().value_or(-1), 0);
+  EXPECT_EQ(other->open_tasks().value_or(OpenTasks{-1, -1}).claimed, 0);
   EXPECT_EQ(jobs().retry(job).value_or(-1), 1);
   const Claim again = claimed_by(*other, "other");
   EXPECT_EQ(mine->finish(claim, "text", "mine").value_or(Written::Yes), Written::Lost);
