@@ -124,7 +124,7 @@ double day_to_day(const ParameterMonitor& parameter) {
   return *middle;
 }
 
-void add_reading(StationMonitor& station, double time_s, double spread, double threshold) {
+void add_reading(StationMonitor& station, double time_s, double spread) {
   const double information = station.pending_information;
   const double reading = station.pending_sum / information;
   station.pending_information = station.pending_sum = 0.0;
@@ -136,8 +136,24 @@ void add_reading(StationMonitor& station, double time_s, double spread, double t
   station.squared_information += information * information;
   station.mean += difference * information / station.information;
   station.squares += difference * difference * information * before / station.information;
-  const double evidence = station.detector.evidence();
-  if (evidence >= threshold) station.alarm = Alarm{time_s + kDay_s, station.detector.change(), evidence};
+}
+
+/// The station with the strongest evidence alone: what it differs by is seen in all that were compared with
+/// it, with the other sign. Their evidence begins anew, without it in their comparisons.
+void raise_alarm(ParameterMonitor& parameter, double time_s, double threshold) {
+  StationMonitor* strongest = nullptr;
+  double most = threshold;
+  for (StationMonitor& station : parameter.stations) {
+    if (station.alarm) continue;
+    const double evidence = station.detector.evidence();
+    if (evidence < most) continue;
+    most = evidence;
+    strongest = &station;
+  }
+  if (strongest == nullptr) return;
+  strongest->alarm = Alarm{time_s + kDay_s, strongest->detector.change(), most};
+  for (StationMonitor& station : parameter.stations)
+    if (!station.alarm) station.detector.drop_evidence();
 }
 
 /// Levels by least squares over all comparisons, as a correction of the old ones that leaves alone what no
@@ -179,8 +195,9 @@ void close_day(ParameterMonitor& parameter, const DayOfParameter& day, double ti
       station.pending_sum +=
           day.differences(row, static_cast<Eigen::Index>(other)) + weight * parameter.stations[other].level;
     }
-    if (station.pending_information >= kLeastInformation) add_reading(station, time_s, spread, threshold);
+    if (station.pending_information >= kLeastInformation) add_reading(station, time_s, spread);
   }
+  raise_alarm(parameter, time_s, threshold);
   parameter.comparisons += day.comparisons;
   parameter.differences += day.differences;
   update_levels(parameter);

@@ -132,9 +132,10 @@ bool is_possible(const LineMonitor& line) {
           const ChangeDetector::State& state = station.detector.state();
           const std::size_t starts =
               std::min(ChangeDetector::kMostStarts, std::max<std::size_t>(state.readings, 2) - 2);
-          return station.days >= 0 && station.pending_information >= 0.0 && station.usual_variance >= 0.0 &&
+          return station.days >= 0 && state.readings <= static_cast<std::size_t>(station.days) &&
+                 station.pending_information >= 0.0 && station.usual_variance >= 0.0 &&
                  station.information >= 0.0 && station.squares >= 0.0 && state.squares >= 0.0 &&
-                 (state.readings == 0 || state.information > 0.0) && state.starts.size() == starts &&
+                 (state.readings == 0 || state.information > 0.0) && state.starts.size() <= starts &&
                  std::all_of(state.starts.begin(), state.starts.end(),
                              [&](const ChangeDetector::Start& start) {
                                return start.information > 0.0 && start.information < state.information &&

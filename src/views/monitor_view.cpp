@@ -64,6 +64,8 @@ std::string format_monitor(const LineMonitor& line, const MonitorCount& count) {
                   watched, all, alarms, all - watched - alarms);
   text += fmt::format("Without any change, at most {:g} alarms a year are raised on average.\n",
                       line.false_alarms_per_year);
+  if (alarms > 0 && line.stations.size() == 2)
+    text += "Of two stations the checks do not tell which one changed.\n";
   if (alarms > 0)
     text += "When a cause was mended: clampctl line monitor --state FILE --acknowledge STATION/PARAMETER\n";
   return text;

@@ -46,6 +46,9 @@ class ChangeDetector {
   /// `variance`: relative to that of a usual reading, about 1; above zero.
   void add(double time_s, double reading, double variance);
   double evidence() const;
+  /// Begins to gather evidence anew, with the baseline that there is. The promise stays: what is left out of
+  /// the sum only makes it smaller.
+  void drop_evidence() { state_.starts.clear(); }
   /// The most likely time of a change and its size. At least three readings.
   Change change() const;
   const State& state() const { return state_; }
