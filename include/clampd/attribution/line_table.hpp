@@ -26,7 +26,7 @@ struct LineTable {
   std::vector<std::string> brakes;  ///< serial numbers
   std::string part_number;          ///< of all checks
   std::vector<double> started_s;    ///< of each check, seconds since 1970
-  double first_s = 0.0;  ///< start of the first check, seconds since 1970
+  double first_s = 0.0;             ///< start of the first check, seconds since 1970
   double last_s = 0.0;
   std::vector<ParameterReadings> parameters;
 
