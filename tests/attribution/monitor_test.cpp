@@ -38,6 +38,21 @@ TEST(ChangeDetector, KeepsItsPromiseWithABaselineThatItEstimatesItself) {
   EXPECT_GT(alarms_of(kReadings, 30.0, normal), 30) << "it may be silent for another reason than the promise";
 }
 
+TEST(ChangeDetector, ExpectsNoMoreThanOneOfEachStartAlsoAfterFewReadings) {
+  // After six readings there are four starts. The mean is known to 0.01.
+  std::mt19937_64 random(13);
+  std::normal_distribution<double> normal;
+  constexpr int kSequences = 200000;
+  double sum = 0.0;
+  for (int sequence = 0; sequence < kSequences; ++sequence) {
+    ChangeDetector detector;
+    for (int i = 0; i < 6; ++i) detector.add(i, normal(random), 1.0);
+    sum += detector.evidence();
+  }
+  EXPECT_LE(sum / kSequences, 4.03);
+  EXPECT_GE(sum / kSequences, 3.5) << "cutting off at 3 costs less than that";
+}
+
 TEST(ChangeDetector, CountsAReadingForWhatItIsWorth) {
   // Every tenth reading has three times the spread: said, that is no change.
   std::mt19937_64 random(3);
