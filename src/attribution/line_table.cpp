@@ -145,19 +145,21 @@ class TableOfFiles {
     return {};
   }
 
-  Result<LineTable> finish() {
+  Result<LineTable> finish(std::size_t least) {
     leave_out_simulated();
-    if (table_.checks() < 10)
+    if (table_.checks() < least)
       return failure(fmt::format(
-          "{} of {} rows are valid checks: too few to attribute anything ({} neither PASS nor FAIL, {} void, "
+          "{} of {} rows are valid checks: too few ({} neither PASS nor FAIL, {} void, "
           "{} incomplete)",
           table_.checks(), table_.rows, table_.invalid, table_.voided, table_.incomplete));
     Layout& layout = table_.layout;
-    renumber(layout.brake, layout.brakes);
+    table_.brakes = keep_used(layout.brake, brakes_.all(), layout.brakes);
+    table_.part_number = part_number_.value_or("");
     table_.stations = keep_used(layout.station, stations_.all(), layout.stations);
     table_.fixtures = keep_used(layout.fixture, fixtures_.all(), layout.fixtures);
     table_.batches = keep_used(layout.batch, batches_.all(), layout.batches);
-    divide_time();
+    if (table_.checks() > 0) divide_time();
+    table_.started_s = std::move(started_);
     return std::move(table_);
   }
 
@@ -352,11 +354,11 @@ int periods_of(std::size_t checks, int stations) {
   return periods >= 3 ? periods : 1;
 }
 
-Result<LineTable> read_line_table(const std::vector<std::string>& files) {
+Result<LineTable> read_line_table(const std::vector<std::string>& files, std::size_t least) {
   TableOfFiles table;
   for (const std::string& file : files)
     if (const Result<void> done = table.read(file); !done) return tl::unexpected(done.error());
-  return table.finish();
+  return table.finish(least);
 }
 
 }  // namespace clampd::attribution

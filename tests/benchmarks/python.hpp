@@ -19,7 +19,7 @@ inline std::optional<nlohmann::json> run_baseline(const std::string& script,
   // One core, and no compiled code left in the source tree.
   const std::string command = fmt::format(
       "OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=1 /usr/bin/python3 "
-      "'{}/tests/bench/baselines/{}' '{}'",
+      "'{}/tests/benchmarks/baselines/{}' '{}'",
       CLAMPD_SOURCE_DIR, script, directory.path(""));
   if (std::system(command.c_str()) != 0) {
     fmt::print(

@@ -23,7 +23,10 @@ struct LineTable {
   std::vector<std::string> stations;  ///< by their numbers
   std::vector<std::string> fixtures;  ///< "station / fixture"
   std::vector<std::string> batches;
-  double first_s = 0.0;  ///< start of the first check, seconds since 1970
+  std::vector<std::string> brakes;  ///< serial numbers
+  std::string part_number;          ///< of all checks
+  std::vector<double> started_s;    ///< of each check, seconds since 1970
+  double first_s = 0.0;             ///< start of the first check, seconds since 1970
   double last_s = 0.0;
   std::vector<ParameterReadings> parameters;
 
@@ -43,8 +46,9 @@ struct LineTable {
 
 /// Reads what `clampctl results --csv` of several stations wrote. Columns in any order: record, serial,
 /// part_number, batch, station, fixture, started, verdict, simulated, void, and a pair "NAME [unit]" and
-/// "NAME sd [unit]" for each parameter; other columns are ignored. Errors say file and line.
-Result<LineTable> read_line_table(const std::vector<std::string>& files);
+/// "NAME sd [unit]" for each parameter; other columns are ignored. Errors say file and line,
+/// or that there are fewer than `least` valid checks.
+Result<LineTable> read_line_table(const std::vector<std::string>& files, std::size_t least = 10);
 
 /// How many equal periods the time of so many checks at so many stations is divided into.
 int periods_of(std::size_t checks, int stations);
