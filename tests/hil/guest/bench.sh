@@ -83,7 +83,7 @@ stop_station() {
   wait $station_pid
 }
 
-wait_for_idle() { wait_until "${status_s:-10}" "the station is IDLE" station_is IDLE; }
+wait_for_idle() { wait_until 10 "the station is IDLE" station_is IDLE; }
 
 station_is() { [ "$(status state)" = "$1" ]; }
 

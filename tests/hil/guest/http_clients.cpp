@@ -78,8 +78,8 @@ class Crowd {
   }
 
   /// Keeps them until SIGTERM, and brings back those that the station closes, twenty in a tenth of a second
-  /// at most. They leave at that pace, too: where all go at once, one slow processor delivers no frame for
-  /// longer than a brake may be silent.
+  /// at most, one after the other. They leave like that, too: where several go at once, what the kernel has to
+  /// do for them keeps one slow processor from delivering frames for longer than a brake may be silent.
   void keep() {
     std::signal(SIGTERM, [](int) { leaving = 1; });
     while (leaving == 0) {
@@ -87,19 +87,22 @@ class Crowd {
       if (poll(sockets_.data(), sockets_.size(), 100) < 0 && errno != EINTR) give_up("poll");
       for (std::size_t i = 0; i < sockets_.size(); ++i) {
         if (kind(i).drips) ::send(sockets_[i].fd, "x", 1, MSG_NOSIGNAL | MSG_DONTWAIT);
-        if (sockets_[i].revents != 0 && !read(i) && closed++ < kAtOnce) connect(i);
+        if (sockets_[i].revents == 0 || read(i) || closed == kMost) continue;
+        connect(i);
+        ++closed;
+        usleep(kPause_us);
       }
-      usleep(kPause_us);
+      usleep(static_cast<useconds_t>(kMost - closed) * kPause_us);
     }
-    for (std::size_t i = 0; i < sockets_.size(); ++i) {
-      close(sockets_[i].fd);
-      if (i % kAtOnce == kAtOnce - 1) usleep(kPause_us);
+    for (const pollfd& socket : sockets_) {
+      close(socket.fd);
+      usleep(kPause_us);
     }
   }
 
  private:
-  static constexpr std::size_t kAtOnce = 20;
-  static constexpr useconds_t kPause_us = 100'000;
+  static constexpr std::size_t kMost = 20;  ///< brought back in a round
+  static constexpr useconds_t kPause_us = 5'000;
   static inline volatile std::sig_atomic_t leaving = 0;
 
   static const Kind& kind(std::size_t i) { return kKinds[i % kKinds.size()]; }
