@@ -284,7 +284,8 @@ TEST_F(DriveCommands, AValueOfEachFileIsARegressor) {
   folder_.write("bad.toml", regressors + "[files.\"run1.csv\"]\npayload = \"heavy\"\n");
   outcome = clampctl("diagnose run1.csv --model bad.toml");
   EXPECT_EQ(outcome.exit_code, 2);
-  EXPECT_THAT(outcome.output, HasSubstr("bad.toml:11:11: payload must be a finite number"));
+  EXPECT_THAT(outcome.output,
+              HasSubstr("bad.toml:11:11: files.\"run1.csv\".payload must be a finite number"));
   outcome = clampctl("diagnose run1.csv --model model.toml");
   EXPECT_EQ(outcome.exit_code, 2);
   EXPECT_THAT(outcome.output, HasSubstr("payload is to be estimated, but is the same in all fitted runs"));
