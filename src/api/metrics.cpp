@@ -10,8 +10,6 @@ namespace {
 
 constexpr std::array kStates{StationState::Init,    StationState::Idle,      StationState::Armed,
                              StationState::Running, StationState::Releasing, StationState::Fault};
-constexpr std::array kVerdicts{Verdict::Pass, Verdict::Fail, Verdict::Error, Verdict::Timeout,
-                               Verdict::Aborted};
 constexpr std::array kLinks{LinkState::Up, LinkState::ErrorPassive, LinkState::BusOff, LinkState::Down,
                             LinkState::Gone};
 constexpr std::array<std::size_t, 9> kLateness_us{5, 10, 20, 50, 100, 200, 500, 800, 1000};

@@ -315,25 +315,23 @@ double explainable_share(const Design& design, const TorqueModel& model, const D
 
 double independent_rows(const Design& design, const TorqueModel& model) {
   const Eigen::VectorXd residuals = design.residuals(model.fit);
-  const auto correlation = [&](Eigen::Index lag) {
-    double product = 0.0, square = 0.0;
+  const auto product = [&](Eigen::Index lag) {
+    double sum = 0.0;
     Eigen::Index first = 0;
     for (const DriveRows& run : design.data().runs) {
       const auto size = static_cast<Eigen::Index>(run.size());
-      if (!run.heldout) {
-        if (size > lag)
-          product += residuals.segment(first, size - lag).dot(residuals.segment(first + lag, size - lag));
-        square += residuals.segment(first, size).squaredNorm();
-      }
+      if (!run.heldout && size > lag)
+        sum += residuals.segment(first, size - lag).dot(residuals.segment(first + lag, size - lag));
       first += size;
     }
-    return square > 0.0 ? product / square : 0.0;
+    return sum;
   };
+  const double square = product(0);
   // Lags that grow by an eighth: the autocorrelation of what is smooth in time is smooth, too.
   double sum = 1.0, last = 1.0;
   for (Eigen::Index lag = 1, previous = 0; lag < residuals.size();) {
-    const double now = correlation(lag);
-    if (now <= 0.0) break;
+    const double now = product(lag) / square;
+    if (!(now > 0.0)) break;
     sum += static_cast<double>(lag - previous) * (previous == 0 ? 2.0 * now : last + now);
     last = now;
     previous = lag;

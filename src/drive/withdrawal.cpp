@@ -14,6 +14,9 @@
 namespace clampd::drive {
 namespace {
 
+/// Of a name that is not to be withdrawn, whatever the others are.
+constexpr double kNever = std::numeric_limits<double>::infinity();
+
 bool is_effect(const Selection& selection, const Variant& part) {
   return std::ranges::find(selection.base.parts, part) == selection.base.parts.end();
 }
@@ -74,6 +77,29 @@ class Withdrawal {
   double taken_from(const TorqueModel& smaller, const Remainder& rest) const {
     return std::pow(left_by(smaller).share * rest.variation, 2) - rest.left * rest.left;
   }
+  struct Weakest {
+    std::string name;
+    TorqueModel without;
+  };
+  /// The effect for which `measure` of the model without it is least, if that is below `limit`.
+  template <typename Measure>
+  std::optional<Weakest> weakest_effect(double limit, const Measure& measure) const {
+    std::optional<Weakest> weakest;
+    for (std::size_t p = 0; p < best_.parts.size(); ++p) {
+      if (!is_effect(selection_, best_.parts[p])) continue;
+      TorqueModel smaller = selector_.without(best_, p);
+      if (!smaller.ok()) continue;
+      const double measured = measure(smaller);
+      if (!(measured < limit)) continue;
+      limit = measured;
+      weakest = {best_.parts[p].name, std::move(smaller)};
+    }
+    return weakest;
+  }
+  void replace_best(const TorqueModel& model, std::string why) {
+    notices_.push_back(std::move(why));
+    best_ = model;
+  }
   std::string names() const {
     std::vector<std::string> all;
     for (const Variant& part : effects_of(selection_)) all.push_back(part.name);
@@ -122,30 +148,28 @@ void Withdrawal::what_another_shape_would_take() {
   constexpr double kAsMuch = 0.8, kNearlyNothing = 0.05;
   while (effects() > 1.0 && !left_by(best_).is_noise()) {
     const double left = design_.residuals(best_.fit).squaredNorm();
-    std::optional<TorqueModel> without_weakest;
-    std::string weakest, shape;
-    double least = std::numeric_limits<double>::infinity();
-    for (std::size_t p = 0; p < best_.parts.size(); ++p) {
-      if (!is_effect(selection_, best_.parts[p])) continue;
-      TorqueModel smaller = selector_.without(best_, p);
-      if (!smaller.ok()) continue;
+    const auto other_of_that_shape = [&](const TorqueModel& smaller) -> const Variant* {
       const Eigen::VectorXd rest = design_.residuals(smaller.fit);
-      const double taken = rest.squaredNorm() - left;
-      if (left < kNearlyNothing * rest.squaredNorm()) continue;
+      const double square = rest.squaredNorm();
+      if (left < kNearlyNothing * square) return nullptr;
+      std::string_view tried;
       for (const Variant& other : smaller.parts) {
         const std::string_view variable = variable_of_term(other.term);
-        if (!is_effect(selection_, other) || variable.empty() || taken >= least) continue;
+        if (!is_effect(selection_, other) || variable.empty() || variable == tried) continue;
+        tried = variable;
         const double free = free_function_share(design_, rest, variable_of(design_, variable, model_));
-        if (free * rest.squaredNorm() < kAsMuch * taken) continue;
-        least = taken;
-        weakest = best_.parts[p].name;
-        shape = fmt::format("{} of another shape over the {}", other.name, variable);
-        without_weakest = smaller;
+        if (free * square >= kAsMuch * (square - left)) return &other;
       }
-    }
-    if (!without_weakest) return;
-    notices_.push_back(fmt::format("{} would explain no more than {}", weakest, shape));
-    best_ = std::move(*without_weakest);
+      return nullptr;
+    };
+    const auto weakest = weakest_effect(kNever, [&](const TorqueModel& smaller) {
+      return other_of_that_shape(smaller) ? design_.residuals(smaller.fit).squaredNorm() - left : kNever;
+    });
+    if (!weakest) return;
+    const Variant& other = *other_of_that_shape(weakest->without);
+    replace_best(weakest->without,
+                 fmt::format("{} would explain no more than {} of another shape over the {}", weakest->name,
+                             other.name, variable_of_term(other.term)));
   }
 }
 
@@ -157,28 +181,18 @@ void Withdrawal::what_wanders() {
   while (has_effects() && !left_by(best_).is_noise()) {
     const double left = design_.residuals(best_.fit).squaredNorm();
     const double rows = independent_rows(design_, best_);
-    std::optional<TorqueModel> without_weakest;
-    std::string weakest;
-    double largest = kSignificant;
-    for (std::size_t p = 0; p < best_.parts.size(); ++p) {
-      if (!is_effect(selection_, best_.parts[p])) continue;
-      TorqueModel smaller = selector_.without(best_, p);
+    const auto weakest = weakest_effect(-kSignificant, [&](const TorqueModel& smaller) {
       const auto terms = static_cast<double>(best_.fit.coefficients.size() - smaller.fit.coefficients.size());
-      if (!smaller.ok() || terms < 1.0) continue;
+      if (terms < 1.0) return kNever;
       const double taken = std::max(0.0, design_.residuals(smaller.fit).squaredNorm() - left);
       const double degrees = rows - terms - 1.0;
-      const double p_value =
-          degrees < 1.0 ? 1.0 : statistics::fisher_f_p_value(taken / left * degrees / terms, terms, degrees);
-      if (p_value <= largest) continue;
-      largest = p_value;
-      weakest = best_.parts[p].name;
-      without_weakest = std::move(smaller);
-    }
-    if (!without_weakest) return;
-    notices_.push_back(fmt::format(
-        "{} would explain what may be chance: what is left changes slowly, like {:.0f} independent rows",
-        weakest, rows));
-    best_ = std::move(*without_weakest);
+      return degrees < 1.0 ? -1.0
+                           : -statistics::fisher_f_p_value(taken / left * degrees / terms, terms, degrees);
+    });
+    if (!weakest) return;
+    replace_best(weakest->without, fmt::format("{} would explain what may be chance: what is left changes "
+                                               "slowly, like {:.0f} independent rows",
+                                               weakest->name, rows));
   }
 }
 
@@ -189,23 +203,15 @@ void Withdrawal::names_beside_two_others() {
   constexpr double kFew = 2.0, kBeyondDoubt_nats = 100.0;
   while (effects() > kFew) {
     const Remainder rest = left_by(best_);
-    const double left = rest.left * rest.left;
-    std::optional<TorqueModel> without_weakest;
-    std::string weakest;
-    for (std::size_t p = 0; p < best_.parts.size(); ++p) {
-      if (!is_effect(selection_, best_.parts[p])) continue;
-      TorqueModel smaller = selector_.without(best_, p);
-      if (!smaller.ok() || best_.evidence - smaller.evidence > kBeyondDoubt_nats ||
-          taken_from(smaller, rest) > left - rest.noise * rest.noise ||
-          (without_weakest && smaller.evidence < without_weakest->evidence))
-        continue;
-      weakest = best_.parts[p].name;
-      without_weakest = std::move(smaller);
-    }
-    if (!without_weakest) return;
-    notices_.push_back(
-        fmt::format("{} beside other effects would explain less than what would still be left", weakest));
-    best_ = std::move(*without_weakest);
+    const auto weakest = weakest_effect(kBeyondDoubt_nats, [&](const TorqueModel& smaller) {
+      const bool takes_more_than_is_left =
+          taken_from(smaller, rest) > rest.left * rest.left - rest.noise * rest.noise;
+      return takes_more_than_is_left ? kNever : best_.evidence - smaller.evidence;
+    });
+    if (!weakest) return;
+    replace_best(weakest->without,
+                 fmt::format("{} beside other effects would explain less than what would still be left",
+                             weakest->name));
   }
 }
 
@@ -225,23 +231,11 @@ void Withdrawal::what_leans_on_the_rest() {
       least = share > kStructured ? effects() * share * left : 0.0;
     }
     if (!(least > 0.0)) return;
-    std::optional<TorqueModel> without_weakest;
-    std::string weakest;
-    for (std::size_t p = 0; p < best_.parts.size(); ++p) {
-      const Variant& part = best_.parts[p];
-      if (!is_effect(selection_, part)) continue;
-      TorqueModel smaller = selector_.without(best_, p);
-      if (!smaller.ok()) continue;
-      const double taken = taken_from(smaller, rest);
-      if (taken < least) {
-        least = taken;
-        weakest = part.name;
-        without_weakest = std::move(smaller);
-      }
-    }
-    if (!without_weakest) return;
-    notices_.push_back(fmt::format("{} would explain less than what would still be left", weakest));
-    best_ = std::move(*without_weakest);
+    const auto weakest =
+        weakest_effect(least, [&](const TorqueModel& smaller) { return taken_from(smaller, rest); });
+    if (!weakest) return;
+    replace_best(weakest->without,
+                 fmt::format("{} would explain less than what would still be left", weakest->name));
   }
 }
 
@@ -253,25 +247,15 @@ std::optional<std::string> Withdrawal::what_takes_the_inertia() {
   if (!has_effects()) return std::nullopt;
   const double inertia = inertia_of(selector_, best_);
   const bool enough = left_by(best_, std::max(0.0, inertia)).is_enough(model_.good_enough);
-  std::optional<TorqueModel> without_thief;
-  std::string thief;
-  double most = 0.0;
-  for (std::size_t p = 0; p < best_.parts.size(); ++p) {
-    const Variant& part = best_.parts[p];
-    if (!is_effect(selection_, part)) continue;
-    TorqueModel smaller = selector_.without(best_, p);
-    if (!smaller.ok()) continue;
+  const auto thief = weakest_effect(0.0, [&](const TorqueModel& smaller) {
     const double before = inertia_of(selector_, smaller);
-    if (!(before > most) || !(inertia < (enough ? 0.0 : kSmallPart * before))) continue;
-    most = before;
-    thief = part.name;
-    without_thief = std::move(smaller);
-  }
-  if (!without_thief) return std::nullopt;
-  notices_.push_back(fmt::format("{} is no explanation: the inertia would be {:.0f} % of what it is without",
-                                 thief, 100.0 * inertia / most));
-  best_ = std::move(*without_thief);
-  return thief;
+    return inertia < (enough ? 0.0 : kSmallPart * before) ? -before : kNever;
+  });
+  if (!thief) return std::nullopt;
+  replace_best(thief->without,
+               fmt::format("{} is no explanation: the inertia would be {:.0f} % of what it is without",
+                           thief->name, 100.0 * inertia / inertia_of(selector_, thief->without)));
+  return thief->name;
 }
 
 /// Where the base model is nearly good enough, little is to be explained, and much that is on no list takes a
@@ -286,8 +270,7 @@ void Withdrawal::parts_of_little() {
   if (taken > kHalf * (square - after.noise * after.noise)) return;
   notices_.push_back(
       fmt::format("{} would explain {:.0f} % of the square of what the base model leaves, which is little, "
-                  "and looks like "
-                  "something else",
+                  "and looks like something else",
                   names(), 100.0 * taken / square));
   best_ = base_;
 }
@@ -303,8 +286,7 @@ void Withdrawal::guesses_of_one_sinusoid() {
   if (after.is_noise() || !(left > kSmallPart)) return;
   notices_.push_back(
       fmt::format("beside {} {:.0f} % of the misfit's square would be left, and in a motion of one sinusoid "
-                  "other effects "
-                  "look alike: record another motion as well",
+                  "other effects look alike: record another motion as well",
                   names(), 100.0 * left));
   best_ = base_;
 }

@@ -21,8 +21,7 @@ std::string_view to_string(Verdict verdict) noexcept {
 }
 
 std::optional<Verdict> parse_verdict(std::string_view text) noexcept {
-  for (const Verdict verdict :
-       {Verdict::Pass, Verdict::Fail, Verdict::Error, Verdict::Timeout, Verdict::Aborted})
+  for (const Verdict verdict : kVerdicts)
     if (text == to_string(verdict)) return verdict;
   return std::nullopt;
 }

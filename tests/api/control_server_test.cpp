@@ -188,6 +188,17 @@ class ControlApi : public ::testing::Test {
   http::Answer post(const std::string& path, const std::string& body, http::Fields headers = {}) const {
     return ask({"POST", path, std::move(headers), body});
   }
+  /// Readers of records until nobody is left who could answer another one.
+  std::vector<Connection> occupy_the_archive() {
+    station_.hold();
+    std::vector<Connection> waiting;
+    for (int i = 0; i < 2; ++i) {
+      waiting.emplace_back(server_->port());
+      waiting.back().send("GET /v1/results HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    }
+    station_.wait_for_waiting(2);
+    return waiting;
+  }
   std::string exchange(const std::string& bytes) const { return support::answer_to(server_->port(), bytes); }
 
   support::TemporaryDirectory folder_;
@@ -555,25 +566,13 @@ TEST_F(ControlApi, AStopIsAnsweredWhileEverythingElseWaits) {
 }
 
 TEST_F(ControlApi, StatusIsAnsweredWhileTheArchiveWaits) {
-  station_.hold();
-  std::vector<Connection> waiting;
-  for (int i = 0; i < 2; ++i) {
-    waiting.emplace_back(server_->port());
-    waiting.back().send("GET /v1/results HTTP/1.1\r\nHost: localhost\r\n\r\n");
-  }
-  station_.wait_for_waiting(2);
+  const std::vector<Connection> waiting = occupy_the_archive();
   EXPECT_EQ(get("/v1/reference").status, 200) << "by the worker that also says what the station does now";
   EXPECT_EQ(post("/v1/next", R"({"serial":"X"})", bearer()).status, 200);
 }
 
 TEST_F(ControlApi, MetricsNeedNoTokenAndDoNotWaitForTheArchive) {
-  station_.hold();
-  std::vector<Connection> waiting;
-  for (int i = 0; i < 2; ++i) {
-    waiting.emplace_back(server_->port());
-    waiting.back().send("GET /v1/results HTTP/1.1\r\nHost: localhost\r\n\r\n");
-  }
-  station_.wait_for_waiting(2);
+  const std::vector<Connection> waiting = occupy_the_archive();
   const http::Answer scrape = get("/metrics");
   EXPECT_EQ(scrape.status, 200);
   EXPECT_THAT(scrape.header("Content-Type"), StartsWith("text/plain; version=0.0.4"));

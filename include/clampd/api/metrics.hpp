@@ -13,7 +13,7 @@ namespace clampd::api {
 
 /// What a station has counted since its daemon started.
 struct StationCounts {
-  std::array<std::uint64_t, 5> verdicts{};  ///< of saved checks, in the order of Verdict
+  std::array<std::uint64_t, kVerdicts.size()> verdicts{};  ///< of saved checks
   PortHealth bus = {};
   rt::HistogramSnapshot lateness = {};  ///< of the loop's wake-ups
 };

@@ -108,7 +108,7 @@ class Daemon final : public api::ControlTarget {
   bool serving_ = false;
   std::uint64_t check_number_ = 0;
   std::optional<CheckRecord> last_record_;
-  std::array<std::uint64_t, 5> verdicts_{};  ///< since the daemon started, in the order of Verdict
+  std::array<std::uint64_t, kVerdicts.size()> verdicts_{};  ///< since the daemon started
   std::optional<CheckRequest> next_;  ///< what the start button checks
   ClockWatch clock_watch_;
   std::string clock_;                ///< that it was set since the last check began

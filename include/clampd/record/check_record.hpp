@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -13,7 +14,9 @@
 namespace clampd {
 
 enum class Verdict : std::uint8_t { Pass, Fail, Error, Timeout, Aborted };
-std::string_view to_string(Verdict verdict) noexcept;  ///< "PASS", "FAIL", "ERROR", "TIMEOUT", "ABORTED"
+inline constexpr std::array kVerdicts{Verdict::Pass, Verdict::Fail, Verdict::Error, Verdict::Timeout,
+                                      Verdict::Aborted};  ///< all of them, in their order
+std::string_view to_string(Verdict verdict) noexcept;     ///< "PASS", "FAIL", "ERROR", "TIMEOUT", "ABORTED"
 std::optional<Verdict> parse_verdict(
     std::string_view text) noexcept;  ///< the same back; nothing if it is none of them
 
