@@ -34,6 +34,7 @@ PortHealth CanBrake::health() const noexcept {
   health.bus_off_events = bus.bus_off_events;
   health.receive_overflows = bus.receive_overflows;
   health.bus_bits = bus.bus_bits;
+  health.arrival_jitter_ns = protocol_.arrival_jitter_ns();
   return health;
 }
 

@@ -209,7 +209,7 @@ class CodecBuilder {
             .and_then([&] { return feedback_field("torque", m.torque, kTorqueUnits, true, c.torque); })
             .and_then([&] { return feedback_field("position", m.position, kAngleUnits, false, c.position); })
             .and_then([&] {
-              return feedback_field("sample clock", m.sample_clock, kTimeUnits, true, c.sample_clock);
+              return feedback_field("sample clock", m.sample_clock, kTimeUnits, false, c.sample_clock);
             })
             .and_then([&] { return feedback_field("enabled", m.enabled, kFlagUnits, false, c.enabled); })
             .and_then([&] { return feedback_field("watchdog", m.watchdog, kFlagUnits, false, c.watchdog); })
@@ -219,6 +219,13 @@ class CodecBuilder {
   }
 
   Result<void> add_clock_tick() {
+    if (!codec_.sample_clock.present) {
+      if (codec_.feedback.front().protection.has_counter()) return {};
+      return failure(
+          "sample clock: this brake has none, and no alive counter: nothing would tell a brake that "
+          "sends the same sample again and again, nor how many samples were lost. Name the signal of one of "
+          "the two in [can.mapping], sample_clock or counter");
+    }
     const Signal& clock = *find(database_, "sample clock", mapping_.sample_clock)->signal;
     const double tick_ns = codec_.sample_clock.field.scale() * static_cast<double>(kNanosecondsPerSecond);
     const double span_ns = tick_ns * static_cast<double>(codec_.sample_clock.field.largest_raw());

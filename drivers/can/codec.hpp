@@ -29,7 +29,7 @@ struct ProtocolMapping {
   std::string velocity = "BrakeFeedback.Velocity";
   std::string torque = "BrakeFeedback.Torque";
   std::string position = "BrakeClock.Position";  ///< empty if the brake has none
-  std::string sample_clock = "BrakeClock.SampleClock";
+  std::string sample_clock = "BrakeClock.SampleClock";  ///< empty if the brake has none: see ArrivalClock
   std::string enabled = "BrakeFeedback.Enabled";  ///< empty if the brake has none, so the next two
   std::string watchdog = "BrakeFeedback.Watchdog";
   std::string fault = "BrakeFeedback.Fault";
@@ -78,7 +78,7 @@ struct ProtocolCodec {
   FeedbackField velocity;
   FeedbackField torque;
   FeedbackField position;
-  FeedbackField sample_clock;  ///< raw: unsigned count of `clock_tick_ns`, wraps at its width
+  FeedbackField sample_clock;  ///< raw: unsigned count of `clock_tick_ns`, wraps at its width; may be absent
   FeedbackField enabled;
   FeedbackField watchdog;
   FeedbackField fault;

@@ -213,6 +213,41 @@ void count_samples(const FrameLog& log, const ProtocolCodec& codec, LogFinding& 
     if (station.accept(logged.frame, now_ns)) ++finding.samples;
   }
   finding.counts = station.counts();
+  finding.arrival_jitter_ms = station.arrival_jitter_ns() * 1e-6;
+}
+
+void judge_samples(const ProtocolCodec& codec, bool stamped, LogFinding& finding) {
+  const std::size_t refused = finding.counts.counter_errors;
+  if (codec.sample_clock.present) {
+    if (finding.samples == 0)
+      finding.problems.emplace_back(
+          "no sample is complete: the frames of one sample must carry the same counter, and come together");
+    else if (refused > 0)
+      finding.problems.push_back(
+          fmt::format("{} samples are refused since counter and sample clock contradict each other: the "
+                      "clock must go on by one period with each count",
+                      refused));
+  } else if (!stamped) {
+    finding.problems.emplace_back(
+        "without a sample clock the frames' time stamps are needed, and this log has none: record it with "
+        "candump -l");
+  } else if (finding.samples == 0) {
+    finding.problems.push_back(
+        fmt::format("no sample has a time: without a sample clock, {} samples, one with each count, every "
+                    "{:g} ms within {:g} %, have to come first",
+                    ArrivalClock::kSettlingSamples, kPeriod_s * 1e3, 100.0 * ArrivalClock::kPeriodTolerance));
+  } else {
+    if (refused > 0)
+      finding.problems.push_back(
+          fmt::format("{} samples are refused since they come far from their time, by the others: half a "
+                      "period early, or one and a half late. Does the brake sample evenly, and what goes before "
+                      "it on the bus?",
+                      refused));
+    finding.notes.push_back(
+        fmt::format("without a sample clock, times are told by the arrivals, which vary by {:.3f} ms "
+                    "(standard deviation); the first {} samples serve to find the period",
+                    finding.arrival_jitter_ms, ArrivalClock::kSettlingSamples));
+  }
 }
 
 }  // namespace
@@ -251,15 +286,7 @@ LogFinding check_log(const FrameLog& log, const Database& database, const Protoc
   }
   const bool all_seen = std::all_of(finding.frames.begin(), finding.frames.end(),
                                     [](const FrameFinding& f) { return !f.from_brake || f.good() > 1; });
-  if (all_seen && finding.samples == 0)
-    finding.problems.emplace_back(
-        "no sample is complete: the frames of one sample must carry the same counter, and come together");
-  else if (all_seen && finding.counts.counter_errors > 0)
-    finding.problems.push_back(
-        fmt::format("{} samples are refused since counter and sample clock contradict each other: the clock "
-                    "must go on by "
-                    "one period with each count",
-                    finding.counts.counter_errors));
+  if (all_seen) judge_samples(codec, first.time_ns.has_value(), finding);
   return finding;
 }
 

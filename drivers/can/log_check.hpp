@@ -58,6 +58,7 @@ struct LogFinding {
   std::map<std::uint32_t, OtherFrame> others;
   std::size_t samples = 0;            ///< that the station would have taken
   ProtocolCounts counts;              ///< of the station's end
+  double arrival_jitter_ms = 0.0;     ///< of the feedback, where the mapping has no sample clock
   double duration_s = 0.0;            ///< 0 without time stamps
   std::vector<std::string> problems;  ///< why a station could not work with this brake; each says what to do
   std::vector<std::string> notes;     ///< what the log does not tell, or what is unusual and does no harm

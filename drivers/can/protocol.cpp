@@ -1,5 +1,6 @@
 #include "drivers/can/protocol.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <utility>
@@ -39,7 +40,9 @@ AliveVerdict AliveCheck::judge(std::uint32_t counter, std::int64_t arrival_ns) n
 }
 
 StationProtocol::StationProtocol(const ProtocolCodec& codec)
-    : codec_{codec}, counter_values_{codec.feedback[0].protection.counter_values()} {
+    : codec_{codec},
+      counter_values_{codec.feedback[0].protection.counter_values()},
+      arrivals_{std::max<std::uint64_t>(counter_values_, 4)} {
   if (counter_values_ > 0) alive_.fill(AliveCheck(counter_values_));
 }
 
@@ -100,43 +103,67 @@ std::optional<BrakeFeedback> StationProtocol::accept(const Frame& frame, std::in
   return complete(arrival_ns);
 }
 
+/// Moves index and time on by the sample clock; false if the sample is refused.
+bool StationProtocol::follow_sample_clock(std::uint32_t previous_counter) noexcept {
+  const FeedbackField& clock_field = codec_.sample_clock;
+  const std::uint64_t clock = clock_field.field.raw(parts_[clock_field.frame]);
+  const std::uint64_t previous_clock = std::exchange(last_clock_, clock);
+  if (!synchronised_) {
+    synchronised_ = true;
+    brake_time_ns_ = static_cast<std::int64_t>(clock) * codec_.clock_tick_ns;
+    return true;
+  }
+  const auto elapsed_ticks =
+      static_cast<std::int64_t>((clock - previous_clock) & clock_field.field.largest_raw());
+  const std::int64_t elapsed_ns = elapsed_ticks * codec_.clock_tick_ns;
+  const std::int64_t samples = (elapsed_ns + kPeriod_ns / 2) / kPeriod_ns;
+  const std::uint64_t counted = counter_steps(previous_counter, parts_counter_, counter_values_);
+  // Clock and counter must tell the same story: the clock resolves whole turns of the counter, the counter
+  // catches a clock that stands still or jumps.
+  const bool consistent =
+      samples >= 1 &&
+      (counter_values_ == 0 || static_cast<std::uint64_t>(samples) % counter_values_ == counted) &&
+      std::abs(elapsed_ns - samples * kPeriod_ns) <= kPeriod_ns / 5;
+  if (!consistent) {
+    // Index and time stay monotonic by what the counter says; the sample itself is refused.
+    ++counts_.counter_errors;
+    const bool told = counted > 0 && counted <= kLargestJump;
+    const auto advance = static_cast<std::int64_t>(told ? counted : kLargestJump);
+    sample_index_ += advance;
+    brake_time_ns_ += advance * kPeriod_ns;
+    counts_.lost_samples += static_cast<std::uint64_t>(advance);
+    return false;
+  }
+  sample_index_ += samples;
+  brake_time_ns_ += elapsed_ns;
+  counts_.lost_samples += static_cast<std::uint64_t>(samples - 1);
+  return true;
+}
+
+/// Moves index and time on by counter and arrival; false if no time of the sample is known.
+bool StationProtocol::follow_arrivals(std::uint32_t previous_counter) noexcept {
+  const std::uint64_t counted = counter_steps(previous_counter, parts_counter_, counter_values_);
+  const ArrivalClock::Instant instant = arrivals_.follow(counted, parts_arrival_ns_);
+  const bool good = instant.verdict == ArrivalClock::Verdict::Good;
+  counts_.counter_errors += instant.verdict == ArrivalClock::Verdict::Refused ? 1 : 0;
+  if (!synchronised_) {
+    synchronised_ = good;
+  } else {
+    sample_index_ += instant.samples;
+    counts_.lost_samples += static_cast<std::uint64_t>(instant.samples - (good ? 1 : 0));
+  }
+  if (good) brake_time_ns_ = instant.time_ns;
+  return good;
+}
+
 std::optional<BrakeFeedback> StationProtocol::complete(std::int64_t arrival_ns) noexcept {
   const auto value = [&](const FeedbackField& part) {
     return part.present ? part.field.decode(parts_[part.frame]) : 0.0;
   };
-  const FeedbackField& clock_field = codec_.sample_clock;
-  const std::uint64_t clock = clock_field.field.raw(parts_[clock_field.frame]);
-  const std::uint64_t previous_clock = std::exchange(last_clock_, clock);
   const std::uint32_t previous_counter = std::exchange(last_counter_, parts_counter_);
-  if (!synchronised_) {
-    synchronised_ = true;
-    brake_time_ns_ = static_cast<std::int64_t>(clock) * codec_.clock_tick_ns;
-  } else {
-    const auto elapsed_ticks =
-        static_cast<std::int64_t>((clock - previous_clock) & clock_field.field.largest_raw());
-    const std::int64_t elapsed_ns = elapsed_ticks * codec_.clock_tick_ns;
-    const std::int64_t samples = (elapsed_ns + kPeriod_ns / 2) / kPeriod_ns;
-    const std::uint64_t counted = counter_steps(previous_counter, parts_counter_, counter_values_);
-    // Clock and counter must tell the same story: the clock resolves whole turns of the counter, the counter
-    // catches a clock that stands still or jumps.
-    const bool consistent =
-        samples >= 1 &&
-        (counter_values_ == 0 || static_cast<std::uint64_t>(samples) % counter_values_ == counted) &&
-        std::abs(elapsed_ns - samples * kPeriod_ns) <= kPeriod_ns / 5;
-    if (!consistent) {
-      // Index and time stay monotonic by what the counter says; the sample itself is refused.
-      ++counts_.counter_errors;
-      const bool told = counted > 0 && counted <= kLargestJump;
-      const auto advance = static_cast<std::int64_t>(told ? counted : kLargestJump);
-      sample_index_ += advance;
-      brake_time_ns_ += advance * kPeriod_ns;
-      counts_.lost_samples += static_cast<std::uint64_t>(advance);
-      return std::nullopt;
-    }
-    sample_index_ += samples;
-    brake_time_ns_ += elapsed_ns;
-    counts_.lost_samples += static_cast<std::uint64_t>(samples - 1);
-  }
+  if (!(codec_.sample_clock.present ? follow_sample_clock(previous_counter)
+                                    : follow_arrivals(previous_counter)))
+    return std::nullopt;
 
   BrakeFeedback feedback;
   feedback.sample_index = sample_index_;
@@ -198,9 +225,9 @@ std::size_t BrakeProtocol::feedback(const BrakeFeedback& reading, std::span<Fram
   put(codec_.enabled, reading.drive_enabled ? 1.0 : 0.0);
   put(codec_.watchdog, reading.watchdog_tripped ? 1.0 : 0.0);
   put(codec_.fault, reading.brake_fault ? 1.0 : 0.0);
-  const FeedbackField& clock = codec_.sample_clock;
-  clock.field.set_raw(out[clock.frame],
-                      static_cast<std::uint64_t>(reading.brake_time_ns / codec_.clock_tick_ns));
+  if (const FeedbackField& clock = codec_.sample_clock; clock.present)
+    clock.field.set_raw(out[clock.frame],
+                        static_cast<std::uint64_t>(reading.brake_time_ns / codec_.clock_tick_ns));
   if (fault == WireFault::ImpossibleValues) {
     // Every bit of the reading set: far beyond the range, under a valid CRC.
     codec_.force.field.set_raw(out[codec_.force.frame], codec_.force.field.largest_raw());

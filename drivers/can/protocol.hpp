@@ -12,6 +12,7 @@
 #include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/ports/brake_port.hpp"
+#include "drivers/can/arrival_clock.hpp"
 #include "drivers/can/codec.hpp"
 #include "drivers/can/frame.hpp"
 
@@ -45,7 +46,8 @@ class AliveCheck {
 
 struct ProtocolCounts {
   std::uint64_t crc_errors = 0;      ///< frames refused: wrong checksum, size or format
-  std::uint64_t counter_errors = 0;  ///< frames or samples refused: counter or sample clock repeats or jumps
+  /// Frames or samples refused: the counter or the sample clock (without one, the arrival) repeats or jumps.
+  std::uint64_t counter_errors = 0;
   std::uint64_t lost_samples =
       0;  ///< samples the brake took and the station never completed (station's end only)
   std::uint64_t implausible = 0;  ///< frames refused: a value outside of its DBC range
@@ -62,14 +64,19 @@ class StationProtocol {
   /// Takes one received frame. When it completes a sample (all feedback frames with one counter value;
   /// without a counter, within half a period of the first), that sample: `sample_index` counts from 0 and
   /// follows counter and sample clock, `brake_time_ns` is the unwrapped sample clock, `arrival_time_ns` that
-  /// of the completing frame. Frames of other identifiers are ignored.
+  /// of the completing frame. Without a sample clock, `brake_time_ns` is the instant that the arrivals tell,
+  /// and there is no sample until they do. Frames of other identifiers are ignored.
   CLAMPD_REALTIME std::optional<BrakeFeedback> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
 
   CLAMPD_REALTIME const ProtocolCounts& counts() const noexcept { return counts_; }
+  /// Standard deviation of the arrivals about the instants that they tell; 0 with a sample clock.
+  CLAMPD_REALTIME double arrival_jitter_ns() const noexcept { return arrivals_.jitter_ns(); }
 
  private:
   bool plausible(std::size_t index, const Frame& frame) const noexcept;
   std::optional<BrakeFeedback> complete(std::int64_t arrival_ns) noexcept;
+  bool follow_sample_clock(std::uint32_t previous_counter) noexcept;
+  bool follow_arrivals(std::uint32_t previous_counter) noexcept;
 
   ProtocolCodec codec_;
   std::uint64_t counter_values_ = 0;  ///< of the feedback; 0: its frames carry no counter
@@ -83,6 +90,7 @@ class StationProtocol {
   std::int64_t parts_arrival_ns_ = 0;  ///< of the first of them
 
   bool synchronised_ = false;
+  ArrivalClock arrivals_;  ///< without a sample clock
   std::uint64_t last_clock_ = 0;
   std::uint32_t last_counter_ = 0;
   std::int64_t sample_index_ = 0;

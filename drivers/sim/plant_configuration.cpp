@@ -43,6 +43,7 @@ constexpr std::array kPlantKeys = {
     Key<PlantConfiguration>{"torque_limit_Nm", &PlantConfiguration::torque_limit_Nm, 0.0, 10.0},
     Key<PlantConfiguration>{"watchdog_s", &PlantConfiguration::watchdog_s, 0.002, 1.0},
     Key<PlantConfiguration>{"step_s", &PlantConfiguration::step_s, 1e-6, 20e-6},
+    Key<PlantConfiguration>{"sampling_jitter_s", &PlantConfiguration::sampling_jitter_s, 0.0, 100e-6},
 };
 
 constexpr std::array kFaultKinds = {FaultKind::CorruptCrc, FaultKind::FrozenCounter,

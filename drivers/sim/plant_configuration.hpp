@@ -52,6 +52,9 @@ struct PlantConfiguration {
   double torque_limit_Nm = 3.0;   ///< of the drive, both directions
   double watchdog_s = 0.020;      ///< without a valid command, torque is zero by then
   double step_s = 20e-6;          ///< of the integrator, at most 20 us
+  /// Of its sampling instants about the millisecond (standard deviation; cut off at three of them). Its clock
+  /// tells them, and its frames come as late or early.
+  double sampling_jitter_s = 0.0;
   std::vector<ScriptedFault> faults;
   std::vector<SpoiledReading> spoiled;
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <utility>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/base/clock.hpp"
@@ -76,7 +77,7 @@ void SimulatedBrake::latch_command() noexcept {
 BrakeFeedback SimulatedBrake::read() noexcept {
   const SensorSettings& sensors = configuration_.sensors;
   const Effects& effects = configuration_.effects;
-  const double time_s = static_cast<double>(index_) * kPeriod_s;
+  const double time_s = static_cast<double>(index_) * kPeriod_s + lateness_s_;
   if (effects.torque_lag_s <= 0.0) state_.torque_Nm = torque_Nm_;
   truth_ = {time_s,  state_.position_rad, state_.velocity_rad_s, state_.force_N, state_.torque_Nm, enabled_,
             tripped_};
@@ -103,7 +104,7 @@ BrakeFeedback SimulatedBrake::read() noexcept {
 
   BrakeFeedback feedback;
   feedback.sample_index = index_;
-  feedback.brake_time_ns = index_ * kPeriod_ns;
+  feedback.brake_time_ns = index_ * kPeriod_ns + std::llround(lateness_s_ * 1e9);
   feedback.torque_Nm = quantised(torque_Nm, sensors.torque_quantum_Nm);
   feedback.velocity_rad_s = quantised(velocity_rad_s, sensors.velocity_quantum_rad_s);
   feedback.force_N = quantised(force_N, sensors.force_quantum_N);
@@ -116,7 +117,10 @@ BrakeFeedback SimulatedBrake::read() noexcept {
 }
 
 void SimulatedBrake::advance() noexcept {
-  const double h = kPeriod_s / steps_;
+  const double jitter_s = configuration_.sampling_jitter_s;
+  const double before_s = std::exchange(
+      lateness_s_, jitter_s > 0.0 ? std::clamp(gaussian(jitter_s), -3.0 * jitter_s, 3.0 * jitter_s) : 0.0);
+  const double h = (kPeriod_s + lateness_s_ - before_s) / steps_;
   for (int i = 0; i < steps_; ++i) {
     step(h);
     newest_force_ = (newest_force_ + 1) % force_history_N_.size();

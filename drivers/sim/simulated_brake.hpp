@@ -43,6 +43,9 @@ class SimulatedBrake {
   /// Takes the sample that is due now and advances the brake by one millisecond.
   BrakeFeedback sample() noexcept;
 
+  /// By which the sample that is due now is late, or early if negative.
+  double lateness_s() const noexcept { return lateness_s_; }
+
   const Truth& truth() const noexcept { return truth_; }
   /// The last sample as it would have been had nothing spoiled it.
   const BrakeFeedback& unspoiled() const noexcept { return unspoiled_; }
@@ -95,6 +98,7 @@ class SimulatedBrake {
   bool tripped_ = false;
   double torque_Nm_ = 0.0;  ///< latched
   std::int64_t index_ = 0;
+  double lateness_s_ = 0.0;
   std::uint32_t run_ = 0;
   int steps_ = 1;                        ///< of the integrator in a sample
   std::vector<double> force_history_N_;  ///< what the load cell had at each step of late, a ring

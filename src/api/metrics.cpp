@@ -56,6 +56,9 @@ void add_bus(http::Metrics& out, const StationStatus& status, const PortHealth& 
     out.sample(static_cast<double>(count), {{"kind", kind}});
   one(out, "clampd_bus_lost_samples_total", "counter", "Samples missing in the brake's own count.",
       static_cast<double>(bus.lost_samples));
+  one(out, "clampd_bus_arrival_jitter_seconds", "gauge",
+      "How the frames' arrivals vary, of a brake without a sample clock; 0 with one.",
+      bus.arrival_jitter_ns * 1e-9);
 }
 
 void add_outboxes(http::Metrics& out, const StationStatus& status) {

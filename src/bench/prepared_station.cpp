@@ -36,7 +36,7 @@ constexpr std::array kMappingRoles{
     MappingRole{"velocity", &can::ProtocolMapping::velocity},
     MappingRole{"torque", &can::ProtocolMapping::torque},
     MappingRole{"position", &can::ProtocolMapping::position},
-    MappingRole{"sample_clock", &can::ProtocolMapping::sample_clock},
+    MappingRole{"sample_clock", &can::ProtocolMapping::sample_clock, false},
     MappingRole{"enabled", &can::ProtocolMapping::enabled, false},
     MappingRole{"watchdog", &can::ProtocolMapping::watchdog, false},
     MappingRole{"fault", &can::ProtocolMapping::fault, false},

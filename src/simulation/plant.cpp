@@ -1,5 +1,6 @@
 #include "clampd/simulation/plant.hpp"
 
+#include <cmath>
 #include <utility>
 
 #include "clampd/base/clock.hpp"
@@ -31,7 +32,8 @@ Plant::Plant(can::FrameBus& bus, const can::ProtocolCodec& codec,
 void Plant::tick(std::int64_t now_ns, std::int64_t /*lateness_ns*/,
                  std::uint64_t /*skipped_periods*/) noexcept {
   const double time_s = static_cast<double>(samples_) * kPeriod_s;
-  const BrakeFeedback reading = node_.tick(now_ns, wire_fault(brake_.configuration(), time_s));
+  const std::int64_t sampled_ns = now_ns + std::llround(brake_.lateness_s() * 1e9);
+  const BrakeFeedback reading = node_.tick(sampled_ns, wire_fault(brake_.configuration(), time_s));
   if (trace_ != nullptr) {
     const sim::Truth& truth = brake_.truth();
     trace_->put({now_ns, samples_, truth.torque_Nm, truth.force_N, truth.velocity_rad_s, truth.position_rad,

@@ -170,7 +170,7 @@ TEST(CheckConductor, ConcludesBesideItsCalls) {
 
 TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
   for (const char* role :
-       {"torque_command", "enable", "force", "velocity", "torque", "position", "sample_clock"}) {
+       {"torque_command", "enable", "force", "velocity", "torque", "position"}) {
     StationConfiguration configuration;
     configuration.file = "station.toml";
     configuration.can.mapping = {{role, ""}};
@@ -180,12 +180,17 @@ TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
               std::string::npos)
         << station.error().message;
   }
-  for (const char* role : {"enabled", "watchdog", "fault", "counter"}) {
+  for (const char* role : {"enabled", "watchdog", "fault", "counter", "sample_clock"}) {
     StationConfiguration configuration;
     configuration.can.mapping = {{role, ""}};
     const auto station = prepare_station(configuration);
     EXPECT_TRUE(station) << station.error().message;
   }
+  StationConfiguration without_time;
+  without_time.can.mapping = {{"sample_clock", ""}, {"counter", ""}};
+  const auto timeless = prepare_station(without_time);
+  ASSERT_FALSE(timeless);
+  EXPECT_THAT(timeless.error().message, HasSubstr("Name the signal of one of the two in [can.mapping]"));
   StationConfiguration without_crc;
   without_crc.can.mapping = {{"crc", ""}};
   const auto refused = prepare_station(without_crc);
@@ -227,6 +232,31 @@ TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
   EXPECT_EQ(record->timing.lost_samples, 0U);
   EXPECT_GT(record->timing.bus_load, 0.1);
   EXPECT_LT(record->timing.bus_load, 0.5);
+}
+
+// A brake that sends no clock: its instants are told by the arrivals. Where it samples unevenly, and nothing
+// tells, the readings are noisier, and so are the estimates.
+TEST(EmbeddedStation, ChecksABrakeThatSendsNoClock) {
+  for (const double jitter_s : {0.0, 10e-6}) {
+    StationConfiguration configuration;
+    configuration.can.mapping = {{"sample_clock", ""}};
+    auto station = prepare_station(configuration);
+    ASSERT_TRUE(station) << station.error().message;
+    sim::PlantConfiguration brake = plant(1);
+    brake.sampling_jitter_s = jitter_s;
+    EmbeddedStation bench(*std::move(station), brake);
+    const auto record = bench.run_check(request(8), nullptr, nullptr);
+    ASSERT_TRUE(record) << record.error().message;
+    EXPECT_EQ(record->verdict, Verdict::Pass) << jitter_s << ": " << record->reason;
+    EXPECT_EQ(record->timing.lost_samples, 0U);
+    for (const RunRecord& run : record->runs)
+      for (std::size_t k = 1; k < run.run.size(); ++k)
+        EXPECT_NEAR(run.run.time_s[k] - run.run.time_s[k - 1], kPeriod_s, 2e-6) << jitter_s << " " << k;
+    const BrakeParameters truth;
+    for (std::size_t i = 0; i < record->parameters.size(); ++i)
+      EXPECT_NEAR(record->parameters[i].value, truth.theta[i], 4.5 * record->parameters[i].sd)
+          << jitter_s << " " << record->parameters[i].name;
+  }
 }
 
 constexpr const char* kBacklashModel = "[[effect]]\nname = \"backlash\"\nplay = 0.2\n";

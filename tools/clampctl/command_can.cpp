@@ -72,6 +72,7 @@ Json to_json(const can::FrameLog& log, const can::LogFinding& finding) {
             {"unreadable_lines", log.unreadable},
             {"samples", finding.samples},
             {"lost_samples", finding.counts.lost_samples},
+            {"arrival_jitter_ms", finding.arrival_jitter_ms},
             {"expected", Json::array()},
             {"others", to_json(finding.others)},
             {"problems", finding.problems},

@@ -10,8 +10,8 @@
 namespace clampd {
 
 /// One sample as the brake measured it, in SI units.
-/// The brake defines the sampling instant: `sample_index` and `brake_time_ns` come from its own clock and are
-/// unwrapped by the protocol. Row k holds the readings at its instant; its torque acts until the next sample.
+/// The brake defines the sampling instant: `sample_index` and `brake_time_ns` come from its own clock (of a
+/// brake that sends none, from when its frames arrive) and are unwrapped by the protocol. Row k holds the readings at its instant; its torque acts until the next sample.
 struct BrakeFeedback {
   std::int64_t sample_index = 0;     ///< +1 for every sample the brake took, also for those that got lost
   std::int64_t brake_time_ns = 0;    ///< the brake's sample clock
@@ -54,6 +54,8 @@ struct PortHealth {
   std::uint64_t bus_off_events = 0;  ///< bus-off reported by the controller, also when it recovered at once
   std::uint64_t receive_overflows = 0;  ///< frames the kernel dropped (SO_RXQ_OVFL) or we could not store
   std::uint64_t bus_bits = 0;           ///< bits seen on the wire, worst-case stuffing: for the bus load
+  /// Of a brake without a sample clock: the standard deviation of its frames' arrivals about its instants.
+  double arrival_jitter_ns = 0.0;
 };
 
 /// How the loop reaches a brake. Declared here, since both the loop (rt) and the drivers speak it and
