@@ -37,7 +37,7 @@ struct DesignOptions {
   double caution = 0.35;
   std::uint64_t seed = 4;
   /// Local optimisations. More find better designs; time grows in proportion.
-  int starts = 480;
+  int starts = 1440;
   /// 0: as many as the machine has. The result does not depend on it.
   int threads = 0;
   /// Called from the calling thread with the share of the work done and the best objective so far (infinite
