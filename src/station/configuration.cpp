@@ -236,7 +236,9 @@ void read_supervisor(TableReader& reader, SupervisorSettings& s) {
 void read_repeats(TableReader& reader, const toml::table& table, CheckSettings& c) {
   reader.integer("repeats_most", c.repeats_most, kFewestRepeats, 200);
   const toml::node* repeats = table.get("repeats");
-  if (repeats == nullptr || !repeats->is_string()) return reader.integer("repeats", c.repeats, 1, 200);
+  if (repeats == nullptr) return;
+  c.repeats_auto = false;
+  if (!repeats->is_string()) return reader.integer("repeats", c.repeats, 1, 200);
   std::string word;
   reader.text("repeats", word);
   c.repeats_auto = word == "auto";

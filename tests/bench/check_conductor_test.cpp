@@ -116,6 +116,7 @@ TEST(CheckConductor, SaysThatTheStationWasToldToEnd) {
 TEST(PreparedStation, IsRefusedWhereItsRepeatsCannotEndInTime) {
   StationConfiguration configuration;
   configuration.check.repeats = 200;
+  configuration.check.repeats_auto = false;
   const Result<PreparedStation> station = prepare_station(configuration);
   ASSERT_FALSE(station);
   EXPECT_THAT(station.error().message, HasSubstr("check.deadline_s = 60 is too short for 200 repeats"));

@@ -156,7 +156,8 @@ TEST(StationConfiguration, TheShippedFileSaysTheDefaults) {
   EXPECT_EQ(shipped->retention.raw_megabytes, defaults.retention.raw_megabytes);
   EXPECT_EQ(shipped->retention.published, defaults.retention.published);
   EXPECT_EQ(shipped->master.serial, defaults.master.serial);
-  EXPECT_EQ(shipped->check.repeats, defaults.check.repeats);
+  EXPECT_EQ(shipped->check.repeats_auto, defaults.check.repeats_auto);
+  EXPECT_EQ(shipped->check.repeats_planned(), defaults.check.repeats_planned());
   EXPECT_EQ(shipped->check.tare_s, defaults.check.tare_s);
   EXPECT_EQ(shipped->check.approach_velocity_rad_s, defaults.check.approach_velocity_rad_s);
   EXPECT_EQ(shipped->check.contact_force_N, defaults.check.contact_force_N);
@@ -299,8 +300,9 @@ TEST(StationConfiguration, RepeatsMayBeAsManyAsTheBrakeNeeds) {
   const auto check = [](const char* text) {
     return parse_station_configuration(text, "a.toml").value().check;
   };
-  EXPECT_FALSE(check("").repeats_auto);
-  EXPECT_EQ(check("").repeats_planned(), 20u);
+  EXPECT_TRUE(check("").repeats_auto);
+  EXPECT_EQ(check("").repeats_planned(), 21u);
+  EXPECT_FALSE(check("[check]\nrepeats = 20\n").repeats_auto);
   EXPECT_TRUE(check("[check]\nrepeats = \"auto\"\n").repeats_auto);
   EXPECT_EQ(check("[check]\nrepeats = \"auto\"\n").repeats_planned(), 21u);
   EXPECT_EQ(check("[check]\nrepeats = \"auto\"\nrepeats_most = 30\n").repeats_planned(), 30u);

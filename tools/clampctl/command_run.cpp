@@ -310,8 +310,7 @@ void add_request_options(CLI::App& command, CheckRequest& request) {
             request.repeats = request.repeats_auto ? 0 : static_cast<std::uint32_t>(std::stoul(given));
           },
           "how often to run the trajectory, or `auto`: until every limit is decided, the configured "
-          "repeats_most at most "
-          "(default: as configured, 20)")
+          "repeats_most at most (default: as configured, auto)")
       ->type_name("NUMBER|auto")
       ->check([](const std::string& given) {
         const std::string wrong = CLI::Range(1, 200)(given);

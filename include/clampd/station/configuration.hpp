@@ -82,7 +82,7 @@ struct SupervisorSettings {
 
 struct CheckSettings {
   std::uint32_t repeats = 20;  ///< unless repeats_auto
-  bool repeats_auto = false;   ///< as many as the brake needs, repeats_most at most
+  bool repeats_auto = true;    ///< as many as the brake needs, repeats_most at most
   /// As a check of so many is decided by its value alone at the end, it errs no more often than one of 20
   /// fixed repeats (docs/repeats.md).
   std::uint32_t repeats_most = 21;
