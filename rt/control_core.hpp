@@ -208,6 +208,7 @@ class BasicControlCore {
   CLAMPD_REALTIME void shutdown(std::int64_t now_ns) noexcept {
     supervisor_.raise(FaultCause::StationEnded);
     port_.send(TorqueCommand{}, now_ns);
+    port_.end(now_ns);
     end_check_on_fault();
     if (requests_.plan.load(std::memory_order_acquire) != nullptr) refuse(StartRefusal::Stopped);
     stops_taken_ = requests_.stops.load(std::memory_order_acquire);

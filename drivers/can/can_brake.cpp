@@ -1,6 +1,13 @@
 #include "drivers/can/can_brake.hpp"
 
+#include "clampd/base/clock.hpp"
+
 namespace clampd::can {
+namespace {
+
+constexpr std::int64_t kAsleepAfter_ns = kNanosecondsPerSecond;
+
+}  // namespace
 
 std::size_t CanBrake::receive(std::span<BrakeFeedback> out, std::int64_t now_ns) noexcept {
   // One frame at a time: what does not fit into `out` waits in the bus rather than here.
@@ -8,14 +15,29 @@ std::size_t CanBrake::receive(std::span<BrakeFeedback> out, std::int64_t now_ns)
   TimedFrame received;
   for (int frames = 0; frames < kFramesPerTick && filled < out.size(); ++frames) {
     if (bus_.receive({&received, 1}, now_ns) == 0) break;
-    if (const auto feedback = protocol_.accept(received.frame, received.arrival_ns))
+    if (const auto feedback = protocol_.accept(received.frame, received.arrival_ns)) {
       out[filled++] = *feedback;
+      awake_ns_ = now_ns;
+    }
   }
   return filled;
 }
 
 bool CanBrake::send(const TorqueCommand& command, std::int64_t now_ns) noexcept {
+  wake(now_ns);
   return bus_.send(protocol_.command(command), now_ns);
+}
+
+void CanBrake::wake(std::int64_t now_ns) noexcept {
+  if (startup_.done() && now_ns - awake_ns_ > kAsleepAfter_ns) startup_.restart();
+  if (const auto frame = startup_.due(now_ns)) {
+    bus_.send(*frame, now_ns);
+    awake_ns_ = now_ns;
+  }
+}
+
+void CanBrake::end(std::int64_t now_ns) noexcept {
+  while (const auto frame = shutdown_.next()) bus_.send(*frame, now_ns);
 }
 
 PortHealth CanBrake::health() const noexcept {

@@ -12,15 +12,23 @@ namespace clampd::can {
 class CanBrake final : public BrakePort {
  public:
   /// `bus` must outlive this.
-  CanBrake(FrameBus& bus, const ProtocolCodec& codec) : bus_{bus}, protocol_{codec} {}
+  CanBrake(FrameBus& bus, const ProtocolCodec& codec)
+      : bus_{bus}, protocol_{codec}, startup_{codec.startup}, shutdown_{codec.shutdown} {}
 
   CLAMPD_REALTIME std::size_t receive(std::span<BrakeFeedback> out, std::int64_t now_ns) noexcept override;
+  /// Before the command, the next start-up frame if one is due. A brake that has sent no sample for a second
+  /// is woken anew, from the first one on.
   CLAMPD_REALTIME bool send(const TorqueCommand& command, std::int64_t now_ns) noexcept override;
+  CLAMPD_REALTIME void end(std::int64_t now_ns) noexcept override;
   CLAMPD_REALTIME PortHealth health() const noexcept override;
 
  private:
   FrameBus& bus_;
+  void wake(std::int64_t now_ns) noexcept;
+
   StationProtocol protocol_;
+  FrameSequence startup_, shutdown_;
+  std::int64_t awake_ns_ = 0;  ///< when the latest sample came or the latest start-up frame went
 };
 
 }  // namespace clampd::can

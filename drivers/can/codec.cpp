@@ -122,10 +122,13 @@ class CodecBuilder {
       : database_(database), mapping_(mapping) {}
 
   Result<ProtocolCodec> build() {
-    const Result<void> outcome = add_command()
-                                     .and_then([&] { return check_torque_command(); })
-                                     .and_then([&] { return add_feedback(); })
-                                     .and_then([&] { return add_clock_tick(); });
+    const Result<void> outcome =
+        add_command()
+            .and_then([&] { return check_torque_command(); })
+            .and_then([&] { return add_feedback(); })
+            .and_then([&] { return add_clock_tick(); })
+            .and_then([&] { return add_sequence("start-up", mapping_.startup, codec_.startup); })
+            .and_then([&] { return add_sequence("shut-down", mapping_.shutdown, codec_.shutdown); });
     if (!outcome) return failure(outcome.error().message);
     return codec_;
   }
@@ -240,6 +243,58 @@ class CodecBuilder {
     return {};
   }
 
+  Result<void> add_sequence(std::string_view what, const std::vector<FrameRequest>& requests,
+                            std::vector<SequenceStep>& steps) const {
+    if (requests.size() > kMaxSequenceSteps)
+      return failure(
+          fmt::format("{}: {} frames are too many; at most {}", what, requests.size(), kMaxSequenceSteps));
+    for (const FrameRequest& request : requests) {
+      const std::string where = fmt::format("{} frame {}", what, steps.size() + 1);
+      auto step = sequence_step(request, where);
+      if (!step) return failure(step.error().message);
+      step->counter = steps.size();
+      for (std::size_t i = steps.size(); i-- > 0;)
+        if (steps[i].frame.id == step->frame.id) step->counter = i;
+      steps.push_back(*step);
+    }
+    return {};
+  }
+
+  Result<SequenceStep> sequence_step(const FrameRequest& request, const std::string& where) const {
+    const Message* message = database_.find_message(request.message);
+    if (message == nullptr)
+      return failure(
+          fmt::format("{}: there is no message {} in {}; correct the name there or in the "
+                      "configuration",
+                      where, request.message, database_.file));
+    if (message == command_message_ ||
+        std::find(messages_.begin(), messages_.end(), message) != messages_.end())
+      return failure(fmt::format("{}: {} is sent in every period; it cannot be part of a sequence", where,
+                                 request.message));
+    // Such frames seldom have the counter and the checksum that the cyclic ones have.
+    ProtocolMapping own = mapping_;
+    if (message->find_signal(own.counter) == nullptr) own.counter.clear();
+    if (message->find_signal(own.crc) == nullptr) {
+      own.crc.clear();
+      own.protection.checksum = Checksum::None;
+    }
+    const auto layout = frame_layout(database_, *message, own);
+    if (!layout) return failure(fmt::format("{}: {}", where, layout.error().message));
+    SequenceStep step{layout->blank(), layout->protection, std::llround(request.wait_ms * 1e6)};
+    for (const auto& [name, value] : request.signals) {
+      const Signal* signal = message->find_signal(name);
+      if (signal == nullptr || name == own.counter || name == own.crc || !Field::fits(*signal))
+        return failure(fmt::format("{}: message {} of {} has no signal {} that can be set; it has {}", where,
+                                   message->name, database_.file, name, names_of(*message)));
+      const Field field(*signal, 1.0);
+      field.encode(step.frame, value);
+      if (!field.plausible(value) || std::abs(field.decode(step.frame) - value) > 0.51 * field.scale())
+        return failure(fmt::format("{}: {}.{} cannot be {:g}: {} allows {:g} to {:g}", where, message->name,
+                                   name, value, database_.file, field.minimum(), field.maximum()));
+    }
+    return step;
+  }
+
   const Database& database_;
   const ProtocolMapping& mapping_;
   ProtocolCodec codec_;
@@ -259,8 +314,18 @@ std::vector<std::uint32_t> ProtocolCodec::feedback_ids() const {
   return ids;
 }
 
+std::vector<std::uint32_t> ProtocolCodec::command_ids() const {
+  std::vector<std::uint32_t> ids{command.id};
+  for (const auto* steps : {&startup, &shutdown})
+    for (const SequenceStep& step : *steps)
+      if (std::find(ids.begin(), ids.end(), step.frame.id) == ids.end()) ids.push_back(step.frame.id);
+  return ids;
+}
+
 bool ProtocolCodec::needs_flexible_data_rate() const {
   bool fd = command.format != FrameFormat::Classic;
+  for (const auto* steps : {&startup, &shutdown})
+    for (const SequenceStep& step : *steps) fd = fd || step.frame.format != FrameFormat::Classic;
   for (std::size_t i = 0; i < feedback_frames; ++i) fd = fd || feedback[i].format != FrameFormat::Classic;
   return fd;
 }

@@ -16,6 +16,7 @@
 #include "drivers/can/dbc.hpp"
 #include "drivers/can/field.hpp"
 #include "drivers/can/frame.hpp"
+#include "drivers/can/frame_sequence.hpp"
 #include "drivers/can/protection.hpp"
 
 namespace clampd::can {
@@ -28,14 +29,16 @@ struct ProtocolMapping {
   std::string force = "BrakeFeedback.Force";
   std::string velocity = "BrakeFeedback.Velocity";
   std::string torque = "BrakeFeedback.Torque";
-  std::string position = "BrakeClock.Position";  ///< empty if the brake has none
+  std::string position = "BrakeClock.Position";         ///< empty if the brake has none
   std::string sample_clock = "BrakeClock.SampleClock";  ///< empty if the brake has none: see ArrivalClock
-  std::string enabled = "BrakeFeedback.Enabled";  ///< empty if the brake has none, so the next two
+  std::string enabled = "BrakeFeedback.Enabled";        ///< empty if the brake has none, so the next two
   std::string watchdog = "BrakeFeedback.Watchdog";
   std::string fault = "BrakeFeedback.Fault";
   std::string counter = "AliveCounter";
   std::string crc = "Crc";
   ProtectionDescription protection;
+  std::vector<FrameRequest> startup;   ///< what wakes the brake, before it sends or obeys
+  std::vector<FrameRequest> shutdown;  ///< what is sent when the station ends, after the last command
   /// Frames of more than 8 bytes, and those that the DBC file's attribute VFrameFormat says so of, are CAN
   /// FD; their data are sent faster.
   bool fast_data = false;
@@ -83,15 +86,18 @@ struct ProtocolCodec {
   FeedbackField watchdog;
   FeedbackField fault;
   std::int64_t clock_tick_ns = 1000;
+  std::vector<SequenceStep> startup, shutdown;
 
   /// Checks the mapping against the database. Errors name the DBC file, message and signal, and what is
   /// needed: a name that is not there, a message with defects or of a size that no frame has, a multiplexed
   /// signal, an unknown unit, a counter or checksum of the wrong shape, a command or clock that cannot
-  /// express what the loop needs.
+  /// express what the loop needs, a start-up or shut-down frame that cannot be made.
   static Result<ProtocolCodec> build(const Database& database, const ProtocolMapping& mapping);
 
   /// Identifiers the station receives, in the order of `feedback`.
   std::vector<std::uint32_t> feedback_ids() const;
+  /// Identifiers the brake receives: the command's first, then those of start-up and shut-down.
+  std::vector<std::uint32_t> command_ids() const;
   /// Whether any frame is CAN FD.
   bool needs_flexible_data_rate() const;
   /// Wire bits of one sample period, worst case, at the nominal bit rate: command and all feedback frames.

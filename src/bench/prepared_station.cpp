@@ -69,6 +69,10 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
   if (!described) return tl::unexpected(described.error());
   mapping.protection = *described;
   mapping.fast_data = configuration.can.data_bitrate > 0;
+  for (const CanSequenceFrame& frame : configuration.can.startup)
+    mapping.startup.push_back({frame.message, frame.signals, frame.wait_ms});
+  for (const CanSequenceFrame& frame : configuration.can.shutdown)
+    mapping.shutdown.push_back({frame.message, frame.signals, frame.wait_ms});
   for (const auto& [role, signal] : configuration.can.mapping) {
     bool known = false;
     for (const MappingRole& candidate : kMappingRoles) {

@@ -112,6 +112,28 @@ void read_protection(TableReader& parent, const std::string& file, std::optional
   reader.finish();
 }
 
+/// [[can.startup]] or [[can.shutdown]].
+void read_sequence(TableReader& can, std::string_view key, const std::string& file,
+                   std::optional<Error>& error, std::vector<CanSequenceFrame>& sequence) {
+  const toml::array* tables = can.array_of_tables(key);
+  if (tables == nullptr) return;
+  for (const toml::node& node : *tables) {
+    TableReader reader(*node.as_table(), fmt::format("can.{}", key), file, error);
+    CanSequenceFrame& frame = sequence.emplace_back();
+    reader.text("message", frame.message);
+    if (frame.message.empty())
+      reader.refuse("message", fmt::format("can.{} needs a message of the DBC file", key));
+    // Nothing waits once the station ends.
+    if (key == "startup") reader.number("wait_ms", frame.wait_ms, 0.0, 2000.0);
+    if (const toml::table* signals = reader.table("signals")) {
+      TableReader values(*signals, fmt::format("can.{}.signals", key), file, error);
+      for (const auto& [name, value] : *signals)
+        values.number(name.str(), frame.signals.emplace_back(std::string(name.str()), 0.0).second);
+    }
+    reader.finish();
+  }
+}
+
 void read_can(TableReader& reader, const toml::table& table, const std::string& file,
               const std::string& folder, std::optional<Error>& error, CanSettings& can) {
   constexpr std::size_t kMaxInterface = 15;  // IFNAMSIZ - 1
@@ -127,6 +149,8 @@ void read_can(TableReader& reader, const toml::table& table, const std::string& 
         "can.data_bitrate must not be below can.bitrate; leave it out for a bus without bit-rate switch");
   read_protection(reader, file, error, can.protection);
   read_can_mapping(reader, file, error, can.mapping);
+  read_sequence(reader, "startup", file, error, can.startup);
+  read_sequence(reader, "shutdown", file, error, can.shutdown);
 }
 
 void read_line(TableReader& panel, std::string_view key, const std::string& chip, const std::string& file,

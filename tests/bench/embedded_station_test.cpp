@@ -169,8 +169,7 @@ TEST(CheckConductor, ConcludesBesideItsCalls) {
 }
 
 TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
-  for (const char* role :
-       {"torque_command", "enable", "force", "velocity", "torque", "position"}) {
+  for (const char* role : {"torque_command", "enable", "force", "velocity", "torque", "position"}) {
     StationConfiguration configuration;
     configuration.file = "station.toml";
     configuration.can.mapping = {{role, ""}};
@@ -205,7 +204,8 @@ TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
               HasSubstr("[can.protection] checksum is \"crc32\"; there are sae-j1850, e2e-1a"));
 }
 
-// One frame of CAN FD with AUTOSAR's profile 7 in place of the two classic ones.
+// One frame of CAN FD with AUTOSAR's profile 7 in place of the two classic ones, and a brake that has to be
+// woken.
 TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
   StationConfiguration configuration;
   configuration.can.dbc = CLAMPD_SOURCE_DIR "/tests/hil/guest/brake_fd.dbc";
@@ -223,6 +223,7 @@ TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
                                {"fault", ""},
                                {"counter", "Counter"},
                                {"crc", "Crc"}};
+  configuration.can.startup = {{"ModeRequest", {{"Mode", 3.0}, {"Key", 165.0}}, 20.0}};
   auto station = prepare_station(configuration);
   ASSERT_TRUE(station) << station.error().message;
   EmbeddedStation bench(*std::move(station), plant(1));
@@ -232,6 +233,11 @@ TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
   EXPECT_EQ(record->timing.lost_samples, 0U);
   EXPECT_GT(record->timing.bus_load, 0.1);
   EXPECT_LT(record->timing.bus_load, 0.5);
+
+  configuration.can.startup.front().signals.front().second = 16.0;
+  const auto refused = prepare_station(configuration);
+  ASSERT_FALSE(refused);
+  EXPECT_THAT(refused.error().message, HasSubstr("start-up frame 1: ModeRequest.Mode cannot be 16"));
 }
 
 // A brake that sends no clock: its instants are told by the arrivals. Where it samples unevenly, and nothing

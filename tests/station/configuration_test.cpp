@@ -19,6 +19,7 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::Pair;
 using ::testing::StartsWith;
+using ::testing::UnorderedElementsAre;
 
 Result<StationConfiguration> parse(const std::string& text) {
   return parse_station_configuration(text, "/etc/clampd/station.toml");
@@ -296,6 +297,21 @@ port = 9000
   EXPECT_EQ(configuration->control.port, 9000);
 }
 
+TEST(StationConfiguration, AFrameSequenceIsATable) {
+  const auto configuration = parse(
+      "[[can.startup]]\nmessage = \"Network\"\nsignals = {Order = 1, Node = 5.0}\nwait_ms = 50\n"
+      "[[can.startup]]\nmessage = \"Mode\"\n[[can.shutdown]]\nmessage = \"Mode\"\nsignals = {Mode = 0}\n");
+  ASSERT_TRUE(configuration) << configuration.error().message;
+  const CanSettings& can = configuration->can;
+  ASSERT_EQ(can.startup.size(), 2U);
+  ASSERT_EQ(can.shutdown.size(), 1U);
+  EXPECT_EQ(can.startup[0].message, "Network");
+  EXPECT_THAT(can.startup[0].signals, UnorderedElementsAre(Pair("Order", 1.0), Pair("Node", 5.0)));
+  EXPECT_EQ(can.startup[0].wait_ms, 50.0);
+  EXPECT_TRUE(can.startup[1].signals.empty());
+  EXPECT_THAT(can.shutdown[0].signals, ElementsAre(Pair("Mode", 0.0)));
+}
+
 TEST(StationConfiguration, RepeatsMayBeAsManyAsTheBrakeNeeds) {
   const auto check = [](const char* text) {
     return parse_station_configuration(text, "a.toml").value().check;
@@ -351,6 +367,13 @@ INSTANTIATE_TEST_SUITE_P(
         Refused{"unknown_key", "[supervisor]\n\nover_forse_N = 1\n", "3:1: ", "did you mean over_force_N?"},
         Refused{"unknown_far", "[realtime]\nzzzzzz = 1\n", "2:1: ", "known are priority, cpu, lock_memory"},
         Refused{"unknown_section", "[supervisors]\nx = 1\n", "1:", "did you mean supervisor?"},
+        Refused{"sequence_without_message", "[[can.startup]]\nwait_ms = 5\n", "1:", "needs a message"},
+        Refused{"sequence_word", "[[can.startup]]\nmessage = \"M\"\nsignals = {Mode = \"on\"}\n",
+                "3:", "Mode"},
+        Refused{"sequence_is_a_table", "[can.startup]\nmessage = \"M\"\n",
+                "1:", "must be written as [[can.startup]]"},
+        Refused{"shutdown_waits", "[[can.shutdown]]\nmessage = \"M\"\nwait_ms = 5\n",
+                "3:1: ", "unknown key wait_ms"},
         Refused{"unknown_role", "[can]\ninterface = \"can0\"\n[can.mapping]\nforces = \"a.b\"\n",
                 "4:1: ", "did you mean force?"},
         Refused{"wrong_type", "[check]\nrepeats = \"20\"\n",

@@ -84,7 +84,7 @@ int run(const Options& options) {
   const auto codec = bench::build_codec(station);
   if (!codec) return refuse(codec.error().message);
   const auto bus =
-      can::SocketCanBus::open(options.interface, {codec->command.id}, bench::bus_format(station, *codec));
+      can::SocketCanBus::open(options.interface, codec->command_ids(), bench::bus_format(station, *codec));
   if (!bus) return refuse(bus.error().message);
   std::optional<plant::Trace> trace;
   if (!options.trace.empty()) {

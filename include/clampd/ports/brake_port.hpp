@@ -74,6 +74,9 @@ class BrakePort {
   /// Sends one command; never blocks. False if it could not be handed to the link.
   CLAMPD_REALTIME virtual bool send(const TorqueCommand& command, std::int64_t now_ns) noexcept = 0;
 
+  /// The station ends: what the brake is told after the last command.
+  CLAMPD_REALTIME virtual void end(std::int64_t /*now_ns*/) noexcept {}
+
   CLAMPD_REALTIME virtual PortHealth health() const noexcept = 0;
 };
 

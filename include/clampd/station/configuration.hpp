@@ -35,6 +35,13 @@ struct CanProtection {
   std::string data_id = "none";  ///< "before" or "after" the frame's bytes, or "none"
 };
 
+/// A frame beside the cyclic ones: what wakes a brake, or puts it to sleep.
+struct CanSequenceFrame {
+  std::string message;                                  ///< of the DBC file
+  std::vector<std::pair<std::string, double>> signals;  ///< in the DBC file's units
+  double wait_ms = 10.0;                                ///< until the next one
+};
+
 struct CanSettings {
   std::string interface;  ///< e.g. "can0"; empty: the embedded simulated brake, in virtual time
   std::string dbc;        ///< path; empty: the DBC file that ships with the station
@@ -45,6 +52,7 @@ struct CanSettings {
   /// Names in this brake's DBC file by role, one of kMappingRoles; roles that are not named keep their
   /// default.
   std::vector<std::pair<std::string, std::string>> mapping;
+  std::vector<CanSequenceFrame> startup, shutdown;
 };
 
 struct RealtimeSettings {

@@ -1,5 +1,5 @@
-# A brake that speaks CAN FD, one frame a direction, protected by AUTOSAR's profile 7: a check, the frames of it through
-# `can check`, and faults, each of which ends at zero torque as fast as over classic frames.
+# A brake that speaks CAN FD, one frame a direction, protected by AUTOSAR's profile 7, and sleeps until it is woken: a check,
+# the frames of it through `can check`, and faults, each of which ends at zero torque as fast as over classic frames.
 . ./common.sh
 . ./bench.sh
 . ./faults.sh
@@ -19,7 +19,17 @@ enabled = ""
 watchdog = "Feedback.Watchdog"
 fault = "Feedback.Fault"
 counter = "Counter"
-crc = "Crc"'
+crc = "Crc"
+[[can.startup]]
+message = "ModeRequest"
+signals = { Mode = 1, Key = 165 }
+wait_ms = 30
+[[can.startup]]
+message = "ModeRequest"
+signals = { Mode = 3 }
+[[can.shutdown]]
+message = "ModeRequest"
+signals = { Mode = 0 }'
 printf '[can]\ndbc = "%s"\n%s\n' $dbc "$can_settings" >/tmp/frames.toml
 brake_frames="--station /tmp/frames.toml"
 
@@ -50,6 +60,16 @@ echo "timing: $(json_get /tmp/full.json /timing)"
 expect "no period skipped" [ "$(json_get /tmp/full.json /timing/skipped)" = 0 ]
 expect "no sample lost" [ "$(json_get /tmp/full.json /timing/lost_samples)" = 0 ]
 fault "plant killed" 'cause kill 9 $brake_pid' 'start_brake /tmp/trace_2.csv'
+brake_is_silent() { wait_until 5 "the brake sleeps" no_frames; }
+no_frames() { [ -z "$(timeout 0.2 candump -n 1 vcan0,180:7FF)" ]; }
+frames() { [ -n "$(timeout 1 candump -n 1 vcan0,180:7FF)" ]; }
+expect "the brake sends while the station runs" frames
+kill $station_pid
+wait $station_pid
+brake_is_silent
+echo "ok: the station put the brake to sleep when it ended"
+start_station
+wait_for_idle
 scripted_fault corrupt-crc
 scripted_fault frozen-counter
 scripted_fault impossible-values
