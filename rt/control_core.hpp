@@ -204,6 +204,9 @@ class BasicControlCore {
     publish(now_ns, lateness_ns, skipped_periods);
   }
 
+  /// Between two ticks, for a brake that wants commands more often: the last one again.
+  CLAMPD_REALTIME void between(std::int64_t now_ns) noexcept { port_.repeat(now_ns); }
+
   /// The loop's last act: drive off, a running check counted as ended by that, a start that waits refused.
   CLAMPD_REALTIME void shutdown(std::int64_t now_ns) noexcept {
     supervisor_.raise(FaultCause::StationEnded);

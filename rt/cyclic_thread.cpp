@@ -121,6 +121,7 @@ Result<void> CyclicThread::start(const CyclicThreadSettings& settings, const Tar
   }
 
   target_ = target;
+  period_ns_ = settings.period_ns;
   stop_.store(false);
   statistics_ = std::make_unique<LoopStatistics>();
   // The process's signals are for its other threads; the loop must not be interrupted by them.
@@ -145,7 +146,7 @@ void* CyclicThread::enter(void* self) noexcept {
   prctl(PR_SET_TIMERSLACK, 1UL);
   prefault_stack();
   MonotonicClock clock;
-  run_cyclic(clock, thread.target_, thread.stop_, *thread.statistics_);
+  run_cyclic(clock, thread.target_, thread.stop_, *thread.statistics_, thread.period_ns_);
   return nullptr;
 }
 

@@ -6,6 +6,7 @@
 
 #include <pthread.h>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/base/result.hpp"
 #include "rt/cyclic_loop.hpp"
 
@@ -15,11 +16,12 @@ struct CyclicThreadSettings {
   int priority = 80;        ///< SCHED_FIFO 1..99; 0 runs as SCHED_OTHER, for development only
   int cpu = -1;             ///< the core to run on, -1 for any
   bool lock_memory = true;  ///< mlockall for the whole process, so that no page fault ever meets the loop
+  std::int64_t period_ns = kPeriod_ns;
 
   Result<void> validate() const;
 };
 
-/// Runs a tick once a millisecond on a thread of its own, on an absolute grid of CLOCK_MONOTONIC.
+/// Runs a tick once a period on a thread of its own, on an absolute grid of CLOCK_MONOTONIC.
 class CyclicThread {
  public:
   CyclicThread() = default;
@@ -66,6 +68,7 @@ class CyclicThread {
   static void* enter(void* self) noexcept;
 
   Target target_{};
+  std::int64_t period_ns_ = kPeriod_ns;
   std::unique_ptr<LoopStatistics> statistics_ = std::make_unique<LoopStatistics>();
   std::atomic<bool> stop_{false};
   pthread_t thread_{};

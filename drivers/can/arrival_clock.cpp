@@ -9,32 +9,47 @@ namespace clampd::can {
 namespace {
 
 constexpr int kMemory = 2000;
-/// That the period is near the loop's is worth as much as so many arrivals.
+/// That the period is near the nominal one is worth as much as so many arrivals.
 constexpr int kPrior = 8;
 /// So many arrivals, one after the other, that do not agree with those before are the beginning of new ones.
 constexpr int kDoubtsUntilRestart = 8;
-/// In periods: what is late by more than the first is doubtful. A bus or a gateway may hold it up, but nothing
-/// brings a sample early.
+/// In periods: what is late by more than the first is doubtful. A bus or a gateway may hold it up, but
+/// nothing brings a sample early.
 constexpr double kDoubtful = 0.5, kLate = 1.5;
 /// One arrival moves the filter by no more than one that is late by so many standard deviations: delays have
 /// a long tail to one side.
 constexpr double kLateness_sd = 3.0;
 constexpr double kLeastDeviation_ns = 1e3;
-constexpr auto kNominalPeriod_ns = static_cast<double>(kPeriod_ns);
 
 }  // namespace
 
-ArrivalClock::ArrivalClock(std::uint64_t counter_values) : counter_values_{counter_values} {
-  CLAMPD_ASSERT(counter_values >= 4);
+ArrivalClock::ArrivalClock(std::uint64_t counter_values, std::int64_t cycle_ns)
+    : counter_values_{counter_values}, cycle_ns_{static_cast<double>(cycle_ns)}, period_ns_{cycle_ns_} {
+  CLAMPD_ASSERT(counter_values == 0 || counter_values >= 4);
 }
 
 void ArrivalClock::restart(std::int64_t arrival_ns) noexcept {
   origin_ns_ = arrival_ns;
   time_ns_ = 0.0;
-  period_ns_ = kNominalPeriod_ns;
+  period_ns_ = cycle_ns_;
   variance_ns2_ = 0.0;
   arrivals_ = kPrior;
   doubts_ = 0;
+}
+
+/// Of a counter, all but its whole turns is known; the time since the latest sample tells these.
+double ArrivalClock::samples_since(std::uint64_t counted, double since_ns) const noexcept {
+  const double periods = since_ns / period_ns_;
+  if (counter_values_ == 0) return std::max(0.0, std::round(periods));
+  const auto values = static_cast<double>(counter_values_);
+  const auto steps = static_cast<double>(counted);
+  return steps + std::max(counted == 0 ? 1.0 : 0.0, std::round((periods - steps) / values)) * values;
+}
+
+bool ArrivalClock::believable(double samples, double late_ns) const noexcept {
+  // Rounding has told which sample it is, unless one is missing before it.
+  if (counter_values_ == 0) return samples == 1.0;
+  return late_ns > -kDoubtful * cycle_ns_ && late_ns < kLate * cycle_ns_;
 }
 
 ArrivalClock::Instant ArrivalClock::follow(std::uint64_t counted, std::int64_t arrival_ns) noexcept {
@@ -42,23 +57,20 @@ ArrivalClock::Instant ArrivalClock::follow(std::uint64_t counted, std::int64_t a
     restart(arrival_ns);
     return {Verdict::Settling, 1, arrival_ns};
   }
-  // The counter tells the samples but for whole turns, which the time since the latest one tells.
   const double since_ns = static_cast<double>(arrival_ns - origin_ns_) - time_ns_;
-  const double turns = std::round((since_ns / period_ns_ - static_cast<double>(counted)) /
-                                  static_cast<double>(counter_values_));
-  const double least_turns = counted == 0 ? 1.0 : 0.0;
-  const double samples =
-      static_cast<double>(counted) + std::max(least_turns, turns) * static_cast<double>(counter_values_);
+  const double samples = samples_since(counted, since_ns);
   Instant instant{Verdict::Settling, static_cast<std::int64_t>(samples), 0};
 
   const double late_ns = since_ns - samples * period_ns_;
   time_ns_ += samples * period_ns_;
-  doubts_ = std::abs(late_ns) < kDoubtful * kNominalPeriod_ns ? 0 : doubts_ + 1;
+  const bool believed = believable(samples, late_ns);
+  const bool doubtful = counter_values_ == 0 ? !believed : std::abs(late_ns) >= kDoubtful * cycle_ns_;
+  doubts_ = doubtful ? doubts_ + 1 : 0;
   if (doubts_ >= (settled() ? kDoubtsUntilRestart : 1)) {
     restart(arrival_ns);
     return instant;
   }
-  if (late_ns <= -kDoubtful * kNominalPeriod_ns || late_ns >= kLate * kNominalPeriod_ns) {
+  if (!believed) {
     instant.verdict = Verdict::Refused;
     return instant;
   }
@@ -70,7 +82,7 @@ ArrivalClock::Instant ArrivalClock::follow(std::uint64_t counted, std::int64_t a
   period_ns_ += 6.0 / (k * (k + 1.0)) * step_ns / samples;
   variance_ns2_ += (step_ns * step_ns - variance_ns2_) / (k - kPrior);
   if (!settled()) return instant;
-  if (std::abs(period_ns_ - kNominalPeriod_ns) > kPeriodTolerance * kNominalPeriod_ns) {
+  if (std::abs(period_ns_ - cycle_ns_) > kPeriodTolerance * cycle_ns_) {
     restart(arrival_ns);
     return instant;
   }

@@ -25,7 +25,12 @@ std::size_t CanBrake::receive(std::span<BrakeFeedback> out, std::int64_t now_ns)
 
 bool CanBrake::send(const TorqueCommand& command, std::int64_t now_ns) noexcept {
   wake(now_ns);
+  last_ = command;
   return bus_.send(protocol_.command(command), now_ns);
+}
+
+void CanBrake::repeat(std::int64_t now_ns) noexcept {
+  bus_.send(protocol_.command(last_), now_ns);
 }
 
 void CanBrake::wake(std::int64_t now_ns) noexcept {

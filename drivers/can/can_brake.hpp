@@ -19,15 +19,17 @@ class CanBrake final : public BrakePort {
   /// Before the command, the next start-up frame if one is due. A brake that has sent no sample for a second
   /// is woken anew, from the first one on.
   CLAMPD_REALTIME bool send(const TorqueCommand& command, std::int64_t now_ns) noexcept override;
+  CLAMPD_REALTIME void repeat(std::int64_t now_ns) noexcept override;
   CLAMPD_REALTIME void end(std::int64_t now_ns) noexcept override;
   CLAMPD_REALTIME PortHealth health() const noexcept override;
 
  private:
-  FrameBus& bus_;
   void wake(std::int64_t now_ns) noexcept;
 
+  FrameBus& bus_;
   StationProtocol protocol_;
   FrameSequence startup_, shutdown_;
+  TorqueCommand last_;         ///< sent
   std::int64_t awake_ns_ = 0;  ///< when the latest sample came or the latest start-up frame went
 };
 

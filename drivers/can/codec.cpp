@@ -119,7 +119,10 @@ namespace {
 class CodecBuilder {
  public:
   CodecBuilder(const Database& database, const ProtocolMapping& mapping)
-      : database_(database), mapping_(mapping) {}
+      : database_(database), mapping_(mapping) {
+    codec_.samples_per_period = mapping.samples_per_period;
+    codec_.commands_per_period = mapping.commands_per_period;
+  }
 
   Result<ProtocolCodec> build() {
     const Result<void> outcome =
@@ -222,23 +225,19 @@ class CodecBuilder {
   }
 
   Result<void> add_clock_tick() {
-    if (!codec_.sample_clock.present) {
-      if (codec_.feedback.front().protection.has_counter()) return {};
-      return failure(
-          "sample clock: this brake has none, and no alive counter: nothing would tell a brake that "
-          "sends the same sample again and again, nor how many samples were lost. Name the signal of one of "
-          "the two in [can.mapping], sample_clock or counter");
-    }
+    if (!codec_.sample_clock.present) return {};
     const Signal& clock = *find(database_, "sample clock", mapping_.sample_clock)->signal;
     const double tick_ns = codec_.sample_clock.field.scale() * static_cast<double>(kNanosecondsPerSecond);
     const double span_ns = tick_ns * static_cast<double>(codec_.sample_clock.field.largest_raw());
     if (clock.type != ValueType::Unsigned || clock.offset != 0.0 || clock.bits > 62 || tick_ns < 1.0 ||
         std::abs(tick_ns - std::round(tick_ns)) > 1e-6 * tick_ns ||
-        tick_ns > 0.1 * static_cast<double>(kPeriod_ns) || span_ns < 16.0 * static_cast<double>(kPeriod_ns))
+        tick_ns > 0.1 * static_cast<double>(codec_.feedback_cycle_ns()) ||
+        span_ns < 16.0 * static_cast<double>(kPeriod_ns))
       return failure(fmt::format(
           "{} in {} must be an unsigned count of at most 62 bits without offset, its tick a whole "
-          "number of nanoseconds up to 0.1 ms, and wrap after 16 ms at the earliest",
-          mapping_.sample_clock, database_.file));
+          "number of nanoseconds up to {:g} ms, a tenth of the feedback's cycle, and wrap after 16 ms at the "
+          "earliest",
+          mapping_.sample_clock, database_.file, 1e-7 * static_cast<double>(codec_.feedback_cycle_ns())));
     codec_.clock_tick_ns = std::llround(tick_ns);
     return {};
   }
@@ -334,9 +333,9 @@ int ProtocolCodec::bits_per_period(double data_speedup) const {
   const auto bits_of = [&](const FrameLayout& frame) {
     return worst_case_bits(frame.id, frame.size, frame.format, data_speedup);
   };
-  int bits = bits_of(command);
+  int bits = 0;
   for (std::size_t i = 0; i < feedback_frames; ++i) bits += bits_of(feedback[i]);
-  return bits;
+  return commands_per_period * bits_of(command) + samples_per_period * bits;
 }
 
 double bus_load(const ProtocolCodec& codec, double bitrate_bit_s, double data_speedup) {

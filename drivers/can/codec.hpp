@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/base/result.hpp"
 #include "drivers/can/dbc.hpp"
@@ -39,12 +40,17 @@ struct ProtocolMapping {
   ProtectionDescription protection;
   std::vector<FrameRequest> startup;   ///< what wakes the brake, before it sends or obeys
   std::vector<FrameRequest> shutdown;  ///< what is sent when the station ends, after the last command
+  int samples_per_period = 1;          ///< feedback: one of kFramesPerPeriod
+  int commands_per_period = 1;         ///< likewise
   /// Frames of more than 8 bytes, and those that the DBC file's attribute VFrameFormat says so of, are CAN
   /// FD; their data are sent faster.
   bool fast_data = false;
 };
 
 inline constexpr std::size_t kMaxFeedbackFrames = 4;
+
+/// How often in the loop's period a brake may sample, and want a command.
+inline constexpr std::array<int, 4> kFramesPerPeriod{1, 2, 4, 5};
 
 /// One frame with its protection.
 struct FrameLayout {
@@ -87,6 +93,12 @@ struct ProtocolCodec {
   FeedbackField fault;
   std::int64_t clock_tick_ns = 1000;
   std::vector<SequenceStep> startup, shutdown;
+  int samples_per_period = 1;
+  int commands_per_period = 1;
+
+  std::int64_t feedback_cycle_ns() const noexcept { return kPeriod_ns / samples_per_period; }
+  double feedback_cycle_ms() const noexcept { return 1e-6 * static_cast<double>(feedback_cycle_ns()); }
+  std::int64_t command_cycle_ns() const noexcept { return kPeriod_ns / commands_per_period; }
 
   /// Checks the mapping against the database. Errors name the DBC file, message and signal, and what is
   /// needed: a name that is not there, a message with defects or of a size that no frame has, a multiplexed
@@ -100,7 +112,8 @@ struct ProtocolCodec {
   std::vector<std::uint32_t> command_ids() const;
   /// Whether any frame is CAN FD.
   bool needs_flexible_data_rate() const;
-  /// Wire bits of one sample period, worst case, at the nominal bit rate: command and all feedback frames.
+  /// Wire bits of one period of the loop, worst case, at the nominal bit rate: commands and all feedback
+  /// frames.
   int bits_per_period(double data_speedup = 1.0) const;
   /// The same frames, read and written the same.
   bool operator==(const ProtocolCodec&) const = default;

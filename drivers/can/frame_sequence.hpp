@@ -43,7 +43,6 @@ class FrameSequence {
   CLAMPD_REALTIME std::optional<Frame> next() noexcept;
   CLAMPD_REALTIME bool done() const noexcept { return next_ == steps_.size(); }
   CLAMPD_REALTIME void restart() noexcept { next_ = 0; }
-  bool empty() const noexcept { return steps_.empty(); }
 
  private:
   std::vector<SequenceStep> steps_;

@@ -182,7 +182,7 @@ void judge_content(const FrameFinding& f, const FrameLayout& layout, const std::
                           signal.name, signal.implausible));
 }
 
-void judge_frame(const FrameFinding& f, const FrameLayout& layout, LogFinding& finding) {
+void judge_frame(const FrameFinding& f, const FrameLayout& layout, double cycle_ms, LogFinding& finding) {
   const std::string name = fmt::format("{} (0x{:X})", f.message, f.id & ~kExtendedId);
   if (f.seen == 0) {
     const std::string text = fmt::format("{}: not in the log", name);
@@ -196,11 +196,11 @@ void judge_frame(const FrameFinding& f, const FrameLayout& layout, LogFinding& f
   if (!f.from_brake) return;
   if (!f.spacing) {
     finding.notes.push_back(fmt::format("{}: how often it comes, this log does not tell", name));
-  } else if (const double period_ms = kPeriod_s * 1e3;
-             std::abs(f.spacing->median_ms - period_ms) > kPeriodTolerance * period_ms) {
+  } else if (std::abs(f.spacing->median_ms - cycle_ms) > kPeriodTolerance * cycle_ms) {
     finding.problems.push_back(
-        fmt::format("{}: comes every {:.2f} ms; the station needs a sample every {:g} ms", name,
-                    f.spacing->median_ms, period_ms));
+        fmt::format("{}: comes every {:.2f} ms; the station needs a sample every {:g} ms ([can] "
+                    "feedback_cycle_ms)",
+                    name, f.spacing->median_ms, cycle_ms));
   }
 }
 
@@ -208,46 +208,61 @@ void count_samples(const FrameLog& log, const ProtocolCodec& codec, LogFinding& 
   StationProtocol station(codec);
   std::int64_t now_ns = 0;
   for (const LoggedFrame& logged : log.frames) {
-    // Without time stamps, frames are a tenth of a period apart: near enough to belong together.
-    now_ns = logged.time_ns ? *logged.time_ns : now_ns + kPeriod_ns / 10;
+    // Without time stamps, frames are a tenth of a cycle apart: near enough to belong together.
+    now_ns = logged.time_ns ? *logged.time_ns : now_ns + codec.feedback_cycle_ns() / 10;
     if (station.accept(logged.frame, now_ns)) ++finding.samples;
   }
   finding.counts = station.counts();
   finding.arrival_jitter_ms = station.arrival_jitter_ns() * 1e-6;
 }
 
+void judge_clocked_samples(LogFinding& finding) {
+  if (finding.samples == 0)
+    finding.problems.emplace_back(
+        "no sample is complete: the frames of one sample must carry the same counter, and come together");
+  else if (const std::size_t refused = finding.counts.counter_errors; refused > 0)
+    finding.problems.push_back(
+        fmt::format("{} samples are refused since counter and sample clock contradict each other: the clock "
+                    "must go on by one period with each count",
+                    refused));
+}
+
+void judge_arrivals(bool counted, double cycle_ms, LogFinding& finding) {
+  if (finding.samples == 0) {
+    finding.problems.push_back(
+        fmt::format("no sample has a time: without a sample clock, {} samples{}, every {:g} ms within {:g} "
+                    "%, have to come first",
+                    ArrivalClock::kSettlingSamples, counted ? ", one with each count" : " without a gap",
+                    cycle_ms, 100.0 * ArrivalClock::kPeriodTolerance));
+    return;
+  }
+  if (const std::size_t refused = finding.counts.counter_errors; refused > 0)
+    finding.problems.push_back(fmt::format(
+        "{} samples are refused since they come far from their time, by the others: half a "
+        "period early, or one and a half late. Does the brake sample evenly, and what goes before "
+        "it on the bus?",
+        refused));
+  finding.notes.push_back(
+      fmt::format("without a sample clock, times are told by the arrivals, which vary by {:.3f} ms "
+                  "(standard deviation); the first {} samples serve to find the period",
+                  finding.arrival_jitter_ms, ArrivalClock::kSettlingSamples));
+}
+
 void judge_samples(const ProtocolCodec& codec, bool stamped, LogFinding& finding) {
-  const std::size_t refused = finding.counts.counter_errors;
-  if (codec.sample_clock.present) {
-    if (finding.samples == 0)
-      finding.problems.emplace_back(
-          "no sample is complete: the frames of one sample must carry the same counter, and come together");
-    else if (refused > 0)
-      finding.problems.push_back(
-          fmt::format("{} samples are refused since counter and sample clock contradict each other: the "
-                      "clock must go on by one period with each count",
-                      refused));
-  } else if (!stamped) {
+  const bool counted = codec.feedback.front().protection.has_counter();
+  if (codec.sample_clock.present)
+    judge_clocked_samples(finding);
+  else if (!stamped)
     finding.problems.emplace_back(
         "without a sample clock the frames' time stamps are needed, and this log has none: record it with "
         "candump -l");
-  } else if (finding.samples == 0) {
-    finding.problems.push_back(
-        fmt::format("no sample has a time: without a sample clock, {} samples, one with each count, every "
-                    "{:g} ms within {:g} %, have to come first",
-                    ArrivalClock::kSettlingSamples, kPeriod_s * 1e3, 100.0 * ArrivalClock::kPeriodTolerance));
-  } else {
-    if (refused > 0)
-      finding.problems.push_back(
-          fmt::format("{} samples are refused since they come far from their time, by the others: half a "
-                      "period early, or one and a half late. Does the brake sample evenly, and what goes before "
-                      "it on the bus?",
-                      refused));
-    finding.notes.push_back(
-        fmt::format("without a sample clock, times are told by the arrivals, which vary by {:.3f} ms "
-                    "(standard deviation); the first {} samples serve to find the period",
-                    finding.arrival_jitter_ms, ArrivalClock::kSettlingSamples));
-  }
+  else
+    judge_arrivals(counted, codec.feedback_cycle_ms(), finding);
+  if (!codec.sample_clock.present && !counted)
+    finding.notes.emplace_back(
+        "neither sample clock nor alive counter: a sample that is held up counts as lost, and so does the "
+        "first one after a gap; that frames are sent again and again, only the readings tell, while a check "
+        "drives the brake");
 }
 
 }  // namespace
@@ -267,6 +282,7 @@ LogFinding check_log(const FrameLog& log, const Database& database, const Protoc
   LogFinding finding;
   std::vector<Watched> watched = watch(database, codec);
   finding.others = identifiers(log, database);
+  for (const std::uint32_t id : codec.command_ids()) finding.others.erase(id);
   for (const LoggedFrame& logged : log.frames)
     for (Watched& frame : watched)
       if (frame.finding.id == logged.frame.id) take(frame, logged);
@@ -280,7 +296,7 @@ LogFinding check_log(const FrameLog& log, const Database& database, const Protoc
     const Message* message = database.find_message(f.id);
     if (message != nullptr && 2 * f.wrong_checksum > f.seen)
       f.other_checksums = fitting_checksums(log, *message, *frame.layout, mapping);
-    judge_frame(f, *frame.layout, finding);
+    judge_frame(f, *frame.layout, codec.feedback_cycle_ms(), finding);
     finding.others.erase(f.id);
     finding.frames.push_back(std::move(f));
   }

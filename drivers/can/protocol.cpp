@@ -20,8 +20,8 @@ std::uint32_t next_count(std::uint32_t counter, std::uint64_t values) noexcept {
 
 }  // namespace
 
-AliveCheck::AliveCheck(std::uint64_t values)
-    : values_{values}, silence_ns_{static_cast<std::int64_t>(values / 2) * kPeriod_ns} {
+AliveCheck::AliveCheck(std::uint64_t values, std::int64_t cycle_ns)
+    : values_{values}, silence_ns_{static_cast<std::int64_t>(values / 2) * cycle_ns} {
   CLAMPD_ASSERT(values >= 4);
 }
 
@@ -42,8 +42,8 @@ AliveVerdict AliveCheck::judge(std::uint32_t counter, std::int64_t arrival_ns) n
 StationProtocol::StationProtocol(const ProtocolCodec& codec)
     : codec_{codec},
       counter_values_{codec.feedback[0].protection.counter_values()},
-      arrivals_{std::max<std::uint64_t>(counter_values_, 4)} {
-  if (counter_values_ > 0) alive_.fill(AliveCheck(counter_values_));
+      arrivals_{counter_values_, codec.feedback_cycle_ns()} {
+  if (counter_values_ > 0) alive_.fill(AliveCheck(counter_values_, codec.feedback_cycle_ns()));
 }
 
 Frame StationProtocol::command(const TorqueCommand& command) noexcept {
@@ -88,9 +88,10 @@ std::optional<BrakeFeedback> StationProtocol::accept(const Frame& frame, std::in
     return std::nullopt;
   }
   // Without a counter, the frames of one sample are told by their arrival: one of each, close together.
-  const bool same_sample = counter_values_ > 0 ? parts_counter_ == counter
-                                               : (received_parts_ & (1U << index)) == 0 &&
-                                                     arrival_ns - parts_arrival_ns_ <= kPeriod_ns / 2;
+  const bool same_sample = counter_values_ > 0
+                               ? parts_counter_ == counter
+                               : (received_parts_ & (1U << index)) == 0 &&
+                                     arrival_ns - parts_arrival_ns_ <= codec_.feedback_cycle_ns() / 2;
   if (received_parts_ == 0 || !same_sample) {
     received_parts_ = 0;
     parts_counter_ = counter;
@@ -116,21 +117,22 @@ bool StationProtocol::follow_sample_clock(std::uint32_t previous_counter) noexce
   const auto elapsed_ticks =
       static_cast<std::int64_t>((clock - previous_clock) & clock_field.field.largest_raw());
   const std::int64_t elapsed_ns = elapsed_ticks * codec_.clock_tick_ns;
-  const std::int64_t samples = (elapsed_ns + kPeriod_ns / 2) / kPeriod_ns;
+  const std::int64_t cycle_ns = codec_.feedback_cycle_ns();
+  const std::int64_t samples = (elapsed_ns + cycle_ns / 2) / cycle_ns;
   const std::uint64_t counted = counter_steps(previous_counter, parts_counter_, counter_values_);
   // Clock and counter must tell the same story: the clock resolves whole turns of the counter, the counter
   // catches a clock that stands still or jumps.
   const bool consistent =
       samples >= 1 &&
       (counter_values_ == 0 || static_cast<std::uint64_t>(samples) % counter_values_ == counted) &&
-      std::abs(elapsed_ns - samples * kPeriod_ns) <= kPeriod_ns / 5;
+      std::abs(elapsed_ns - samples * cycle_ns) <= cycle_ns / 5;
   if (!consistent) {
     // Index and time stay monotonic by what the counter says; the sample itself is refused.
     ++counts_.counter_errors;
     const bool told = counted > 0 && counted <= kLargestJump;
     const auto advance = static_cast<std::int64_t>(told ? counted : kLargestJump);
     sample_index_ += advance;
-    brake_time_ns_ += advance * kPeriod_ns;
+    brake_time_ns_ += advance * cycle_ns;
     counts_.lost_samples += static_cast<std::uint64_t>(advance);
     return false;
   }
@@ -145,7 +147,10 @@ bool StationProtocol::follow_arrivals(std::uint32_t previous_counter) noexcept {
   const std::uint64_t counted = counter_steps(previous_counter, parts_counter_, counter_values_);
   const ArrivalClock::Instant instant = arrivals_.follow(counted, parts_arrival_ns_);
   const bool good = instant.verdict == ArrivalClock::Verdict::Good;
-  counts_.counter_errors += instant.verdict == ArrivalClock::Verdict::Refused ? 1 : 0;
+  // Without a counter, what is refused is lost, like what lies in a gap: nothing says that the brake stands
+  // still.
+  const bool refused = instant.verdict == ArrivalClock::Verdict::Refused;
+  counts_.counter_errors += refused && counter_values_ > 0 ? 1 : 0;
   if (!synchronised_) {
     synchronised_ = good;
   } else {
@@ -176,12 +181,36 @@ std::optional<BrakeFeedback> StationProtocol::complete(std::int64_t arrival_ns) 
   feedback.drive_enabled = !codec_.enabled.present || value(codec_.enabled) != 0.0;
   feedback.watchdog_tripped = value(codec_.watchdog) != 0.0;
   feedback.brake_fault = value(codec_.fault) != 0.0;
-  return feedback;
+  return codec_.samples_per_period == 1 ? feedback : of_period(feedback);
+}
+
+std::optional<BrakeFeedback> StationProtocol::of_period(const BrakeFeedback& sample) noexcept {
+  const std::int64_t place = sample.sample_index % codec_.samples_per_period;
+  if (place == 0) {
+    period_ = sample;
+    period_.sample_index = sample.sample_index / codec_.samples_per_period;
+    samples_of_period_ = 1;
+  } else if (place == samples_of_period_ &&
+             sample.sample_index / codec_.samples_per_period == period_.sample_index) {
+    ++samples_of_period_;
+    period_.arrival_time_ns = sample.arrival_time_ns;
+    period_.torque_Nm += sample.torque_Nm;
+    period_.drive_enabled = sample.drive_enabled;
+    period_.watchdog_tripped = period_.watchdog_tripped || sample.watchdog_tripped;
+    period_.brake_fault = period_.brake_fault || sample.brake_fault;
+  } else {
+    samples_of_period_ = 0;
+  }
+  if (samples_of_period_ != codec_.samples_per_period) return std::nullopt;
+  samples_of_period_ = 0;
+  BrakeFeedback whole = period_;
+  whole.torque_Nm /= codec_.samples_per_period;
+  return whole;
 }
 
 BrakeProtocol::BrakeProtocol(const ProtocolCodec& codec) : codec_{codec} {
   const std::uint64_t values = codec.command.protection.counter_values();
-  if (values > 0) alive_ = AliveCheck(values);
+  if (values > 0) alive_ = AliveCheck(values, codec.command_cycle_ns());
 }
 
 std::optional<TorqueCommand> BrakeProtocol::accept(const Frame& frame, std::int64_t arrival_ns) noexcept {
@@ -211,8 +240,13 @@ std::optional<TorqueCommand> BrakeProtocol::accept(const Frame& frame, std::int6
 std::size_t BrakeProtocol::feedback(const BrakeFeedback& reading, std::span<Frame> out,
                                     WireFault fault) noexcept {
   CLAMPD_ASSERT(out.size() >= codec_.feedback_frames);
+  const FrameProtection& protection = codec_.feedback[0].protection;
+  if (fault == WireFault::FrozenCounter && !protection.has_counter() && sent_[0].size > 0) {
+    std::copy_n(sent_.begin(), codec_.feedback_frames, out.begin());
+    return codec_.feedback_frames;
+  }
   if (fault != WireFault::FrozenCounter)
-    feedback_counter_ = next_count(feedback_counter_, codec_.feedback[0].protection.counter_values());
+    feedback_counter_ = next_count(feedback_counter_, protection.counter_values());
   if (fault == WireFault::Silent) return 0;
   for (std::size_t i = 0; i < codec_.feedback_frames; ++i) out[i] = codec_.feedback[i].blank();
   const auto put = [&](const FeedbackField& part, double value) {
@@ -237,6 +271,7 @@ std::size_t BrakeProtocol::feedback(const BrakeFeedback& reading, std::span<Fram
     codec_.feedback[i].protection.protect(out[i], feedback_counter_);
     if (fault == WireFault::CorruptCrc) codec_.feedback[i].protection.spoil(out[i]);
   }
+  std::copy_n(out.begin(), codec_.feedback_frames, sent_.begin());
   return codec_.feedback_frames;
 }
 

@@ -31,8 +31,8 @@ enum class AliveVerdict : std::uint8_t {
 class AliveCheck {
  public:
   AliveCheck() = default;
-  /// `values`: how many the counter has, at least 4.
-  explicit AliveCheck(std::uint64_t values);
+  /// `values`: how many the counter has, at least 4. `cycle_ns`: how often it counts.
+  AliveCheck(std::uint64_t values, std::int64_t cycle_ns);
 
   CLAMPD_REALTIME AliveVerdict judge(std::uint32_t counter, std::int64_t arrival_ns) noexcept;
 
@@ -45,7 +45,7 @@ class AliveCheck {
 };
 
 struct ProtocolCounts {
-  std::uint64_t crc_errors = 0;      ///< frames refused: wrong checksum, size or format
+  std::uint64_t crc_errors = 0;  ///< frames refused: wrong checksum, size or format
   /// Frames or samples refused: the counter or the sample clock (without one, the arrival) repeats or jumps.
   std::uint64_t counter_errors = 0;
   std::uint64_t lost_samples =
@@ -62,10 +62,13 @@ class StationProtocol {
   CLAMPD_REALTIME Frame command(const TorqueCommand& command) noexcept;
 
   /// Takes one received frame. When it completes a sample (all feedback frames with one counter value;
-  /// without a counter, within half a period of the first), that sample: `sample_index` counts from 0 and
+  /// without a counter, within half a cycle of the first), that sample: `sample_index` counts from 0 and
   /// follows counter and sample clock, `brake_time_ns` is the unwrapped sample clock, `arrival_time_ns` that
   /// of the completing frame. Without a sample clock, `brake_time_ns` is the instant that the arrivals tell,
   /// and there is no sample until they do. Frames of other identifiers are ignored.
+  ///
+  /// Of a brake that samples several times in a period, one sample comes for each period, once all of it are
+  /// there: the readings of the first, and the mean of their torques, which is what acts until the next one.
   CLAMPD_REALTIME std::optional<BrakeFeedback> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
 
   CLAMPD_REALTIME const ProtocolCounts& counts() const noexcept { return counts_; }
@@ -73,6 +76,7 @@ class StationProtocol {
   CLAMPD_REALTIME double arrival_jitter_ns() const noexcept { return arrivals_.jitter_ns(); }
 
  private:
+  std::optional<BrakeFeedback> of_period(const BrakeFeedback& sample) noexcept;
   bool plausible(std::size_t index, const Frame& frame) const noexcept;
   std::optional<BrakeFeedback> complete(std::int64_t arrival_ns) noexcept;
   bool follow_sample_clock(std::uint32_t previous_counter) noexcept;
@@ -95,9 +99,12 @@ class StationProtocol {
   std::uint32_t last_counter_ = 0;
   std::int64_t sample_index_ = 0;
   std::int64_t brake_time_ns_ = 0;
+  BrakeFeedback period_;       ///< the first sample of the present period, its torque the sum of all so far
+  int samples_of_period_ = 0;  ///< that have come, one after the other
 };
 
-/// What a simulated brake may do wrong on the wire, on purpose.
+/// What a simulated brake may do wrong on the wire, on purpose. Where its frames carry no counter,
+/// FrozenCounter sends the frames of the sample before again.
 enum class WireFault : std::uint8_t { None, CorruptCrc, FrozenCounter, ImpossibleValues, Silent };
 
 /// The brake's end: commands in, samples out.
@@ -120,6 +127,7 @@ class BrakeProtocol {
   ProtocolCounts counts_;
   AliveCheck alive_;
   std::uint32_t feedback_counter_ = 0;
+  std::array<Frame, kMaxFeedbackFrames> sent_;  ///< feedback
 };
 
 }  // namespace clampd::can

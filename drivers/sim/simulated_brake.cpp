@@ -23,19 +23,22 @@ double lagged(double value, double before, double after, double lag_s, double h)
 
 }  // namespace
 
-SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration)
+SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration, int samples_per_period)
     : configuration_(configuration),
       random_(configuration.seed),
       spoiler_(configuration.spoiled, configuration.seed + 1),
-      steps_(static_cast<int>(std::ceil(kPeriod_s / configuration.step_s - 1e-9))) {
+      cycle_ns_(kPeriod_ns / samples_per_period),
+      cycle_s_(kPeriod_s / samples_per_period),
+      steps_(static_cast<int>(std::ceil(cycle_s_ / configuration.step_s - 1e-9))) {
   CLAMPD_ASSERT(configuration.validate().has_value());
   state_.position_rad = -configuration.clearance_rad;
   state_.pad_position_rad = state_.position_rad;
   state_.force_N = pad_force(0.0);
   state_.relaxed_N = state_.force_N;
   state_.filtered_force_N = state_.force_N;
-  force_history_N_.assign(static_cast<std::size_t>(configuration.effects.channel_skew * steps_) + 2,
-                          state_.force_N);
+  force_history_N_.assign(
+      static_cast<std::size_t>(configuration.effects.channel_skew * steps_ * samples_per_period) + 2,
+      state_.force_N);
 }
 
 void SimulatedBrake::command(const TorqueCommand& command) noexcept {
@@ -65,8 +68,7 @@ void SimulatedBrake::latch_command() noexcept {
     // The last command may be up to one sample older than the instant that latched it: count it as that old,
     // so that the torque is zero no later than watchdog_s after the command came.
     ++silent_samples_;
-    if (enabled_ &&
-        static_cast<double>(silent_samples_ + 1) * kPeriod_s >= configuration_.watchdog_s - 1e-9) {
+    if (enabled_ && static_cast<double>(silent_samples_ + 1) * cycle_s_ >= configuration_.watchdog_s - 1e-9) {
       tripped_ = true;
       enabled_ = false;
       torque_Nm_ = 0.0;
@@ -77,12 +79,12 @@ void SimulatedBrake::latch_command() noexcept {
 BrakeFeedback SimulatedBrake::read() noexcept {
   const SensorSettings& sensors = configuration_.sensors;
   const Effects& effects = configuration_.effects;
-  const double time_s = static_cast<double>(index_) * kPeriod_s + lateness_s_;
+  const double time_s = static_cast<double>(index_) * cycle_s_ + lateness_s_;
   if (effects.torque_lag_s <= 0.0) state_.torque_Nm = torque_Nm_;
   truth_ = {time_s,  state_.position_rad, state_.velocity_rad_s, state_.force_N, state_.torque_Nm, enabled_,
             tripped_};
 
-  double force_N = force_before(effects.channel_skew);
+  double force_N = force_before(effects.channel_skew * kPeriod_s / cycle_s_);
   force_N += effects.force_offset_N + sensors.force_offset_N +
              effects.force_hum_N * std::sin(2.0 * std::numbers::pi * kHumFrequency_Hz * time_s + 0.4);
   if (effects.outliers > 0.0) {
@@ -104,7 +106,7 @@ BrakeFeedback SimulatedBrake::read() noexcept {
 
   BrakeFeedback feedback;
   feedback.sample_index = index_;
-  feedback.brake_time_ns = index_ * kPeriod_ns + std::llround(lateness_s_ * 1e9);
+  feedback.brake_time_ns = index_ * cycle_ns_ + std::llround(lateness_s_ * 1e9);
   feedback.torque_Nm = quantised(torque_Nm, sensors.torque_quantum_Nm);
   feedback.velocity_rad_s = quantised(velocity_rad_s, sensors.velocity_quantum_rad_s);
   feedback.force_N = quantised(force_N, sensors.force_quantum_N);
@@ -120,7 +122,7 @@ void SimulatedBrake::advance() noexcept {
   const double jitter_s = configuration_.sampling_jitter_s;
   const double before_s = std::exchange(
       lateness_s_, jitter_s > 0.0 ? std::clamp(gaussian(jitter_s), -3.0 * jitter_s, 3.0 * jitter_s) : 0.0);
-  const double h = (kPeriod_s + lateness_s_ - before_s) / steps_;
+  const double h = (cycle_s_ + lateness_s_ - before_s) / steps_;
   for (int i = 0; i < steps_; ++i) {
     step(h);
     newest_force_ = (newest_force_ + 1) % force_history_N_.size();

@@ -35,7 +35,8 @@ struct Truth {
 class SimulatedBrake {
  public:
   /// `configuration` must be valid.
-  explicit SimulatedBrake(const PlantConfiguration& configuration);
+  /// `samples_per_period`: how often it samples in the loop's period.
+  explicit SimulatedBrake(const PlantConfiguration& configuration, int samples_per_period = 1);
 
   /// A valid command arrived; it acts from the next sample on if no newer one comes.
   void command(const TorqueCommand& command) noexcept;
@@ -100,6 +101,8 @@ class SimulatedBrake {
   std::int64_t index_ = 0;
   double lateness_s_ = 0.0;
   std::uint32_t run_ = 0;
+  std::int64_t cycle_ns_;
+  double cycle_s_;
   int steps_ = 1;                        ///< of the integrator in a sample
   std::vector<double> force_history_N_;  ///< what the load cell had at each step of late, a ring
   std::size_t newest_force_ = 0;         ///< the step just made

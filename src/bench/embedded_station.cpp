@@ -9,6 +9,7 @@
 
 #include "clampd/base/clock.hpp"
 #include "clampd/bench/check_conductor.hpp"
+#include "clampd/bench/simulated_bench.hpp"
 #include "clampd/experiment/reference.hpp"
 #include "clampd/record/checksum.hpp"
 #include "clampd/station/drive_off.hpp"
@@ -35,8 +36,7 @@ EmbeddedStation::EmbeddedStation(PreparedStation station, const sim::PlantConfig
       core_(port_, station_.supervisor) {}
 
 void EmbeddedStation::advance_one_period() {
-  brake_.tick(now_ns_, 0, 0);
-  core_.tick(now_ns_ + kPeriod_ns / 2, 0, 0);
+  simulate_period(brake_, core_, station_.codec, now_ns_, 0);
   now_ns_ += kPeriod_ns;
 }
 

@@ -69,6 +69,10 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
   if (!described) return tl::unexpected(described.error());
   mapping.protection = *described;
   mapping.fast_data = configuration.can.data_bitrate > 0;
+  mapping.samples_per_period =
+      static_cast<int>(std::lround(kPeriod_s * 1e3 / configuration.can.feedback_cycle_ms));
+  mapping.commands_per_period =
+      static_cast<int>(std::lround(kPeriod_s * 1e3 / configuration.can.command_cycle_ms));
   for (const CanSequenceFrame& frame : configuration.can.startup)
     mapping.startup.push_back({frame.message, frame.signals, frame.wait_ms});
   for (const CanSequenceFrame& frame : configuration.can.shutdown)
@@ -237,6 +241,19 @@ Result<void> check_deadline(const StationConfiguration& configuration, const rt:
                   check.repeats_planned(), least_s));
 }
 
+/// What no bus of this bit rate carries.
+Result<void> check_bus(const StationConfiguration& configuration, const can::ProtocolCodec& codec) {
+  const CanSettings& can = configuration.can;
+  const double load = can::bus_load(codec, can.bitrate, bus_format(configuration, codec).data_speedup);
+  if (load < 1.0) return {};
+  return failure(
+      fmt::format("{}the frames of [can] may take {:.0f} % of a bus at {} bit/s, with readings every {:g} ms "
+                  "and commands every "
+                  "{:g} ms: raise bitrate or data_bitrate, or have fewer, shorter or less frequent frames",
+                  configuration.file.empty() ? "" : configuration.file + ": ", 100.0 * load, can.bitrate,
+                  can.feedback_cycle_ms, can.command_cycle_ms));
+}
+
 }  // namespace
 
 Result<StationConfiguration> load_configuration(const std::string& path) {
@@ -301,8 +318,8 @@ Result<PreparedCheck> prepare_check(const StationConfiguration& configuration, c
   return prepare_trajectory(check).map([&] { return std::move(check); });
 }
 
-/// Codec and socket belong to a loop that never stands still, since it feeds the brake's watchdog in IDLE too: they
-/// stay what they are, and a recipe that needs others is refused.
+/// Codec and socket belong to a loop that never stands still, since it feeds the brake's watchdog in IDLE
+/// too: they stay what they are, and a recipe that needs others is refused.
 Result<std::string> refusal_of(const Recipe& recipe, StationConfiguration configuration,
                                const can::ProtocolCodec& of_station) {
   if (!recipe.states_can_layout()) return std::string();
@@ -313,17 +330,20 @@ Result<std::string> refusal_of(const Recipe& recipe, StationConfiguration config
   return build_codec(configuration).map([&](const can::ProtocolCodec& needed) {
     return needed == of_station
                ? std::string()
-               : fmt::format("its recipe {} needs the CAN layout of {}, and this station runs that of {}: check these "
-                             "brakes on a station that is configured for them ([can] dbc and [can.mapping])",
-                             recipe.file, configuration.can.dbc.empty() ? own : configuration.can.dbc, own);
+               : fmt::format(
+                     "its recipe {} needs the CAN layout of {}, and this station runs that of {}: check "
+                     "these "
+                     "brakes on a station that is configured for them ([can] dbc and [can.mapping])",
+                     recipe.file, configuration.can.dbc.empty() ? own : configuration.can.dbc, own);
   });
 }
 
 Result<PreparedRecipe> prepare_recipe(const PreparedStation& station, Recipe recipe) {
   const auto named_by = [&recipe](const Error& error) {
     const bool own = error.message.starts_with(recipe.file + ":");
-    return failure(own ? error.message
-                       : fmt::format("{}: part number {}: {}", recipe.file, recipe.part_number, error.message));
+    return failure(
+        own ? error.message
+            : fmt::format("{}: part number {}: {}", recipe.file, recipe.part_number, error.message));
   };
   Result<PreparedCheck> check = prepare_check(with_recipe(station.configuration, recipe), &recipe);
   if (!check) return named_by(check.error());
@@ -343,6 +363,8 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
   Result<can::ProtocolCodec> codec = build_codec(configuration);
   if (!codec) return tl::unexpected(codec.error());
   station.codec = std::move(*codec);
+  if (const Result<void> carried = check_bus(configuration, station.codec); !carried)
+    return tl::unexpected(carried.error());
   station.supervisor = supervisor_settings(configuration);
   if (const Result<void> valid = station.supervisor.validate(); !valid) return tl::unexpected(valid.error());
   if (configuration.gpio.used()) station.panel = panel_settings(configuration);

@@ -52,6 +52,7 @@ Daemon::Daemon(const bench::PreparedStation& station, can::FrameBus& bus, CheckS
       port_(bus, station.codec),
       core_(port_, station.supervisor, rt::ControlCore::kRingCapacity, rt::kPolicy,
             panel == nullptr ? nullptr : &panel->board()),
+      finer_grid_(core_, station.codec.commands_per_period),
       journal_(journal_file(station.configuration)),
       conductor_(station, core_, &store, WorkerMode::Background) {
   if (bench != nullptr) simulated_loop_.emplace(*bench, core_);
@@ -74,8 +75,11 @@ Result<void> Daemon::start() {
   if (panel_ != nullptr)
     if (Result<void> reading = panel_->start(); !reading) return reading;
   const RealtimeSettings& realtime = station_.configuration.realtime;
-  const rt::CyclicThreadSettings settings{realtime.priority, realtime.cpu, realtime.lock_memory};
-  return simulated_loop_ ? loop_.start(settings, *simulated_loop_) : loop_.start(settings, core_);
+  rt::CyclicThreadSettings settings{realtime.priority, realtime.cpu, realtime.lock_memory};
+  if (simulated_loop_) return loop_.start(settings, *simulated_loop_);
+  if (station_.codec.commands_per_period == 1) return loop_.start(settings, core_);
+  settings.period_ns = station_.codec.command_cycle_ns();
+  return loop_.start(settings, finer_grid_);
 }
 
 void Daemon::serve(const std::atomic<bool>& quit, const std::function<void()>& each_round) {
@@ -311,7 +315,10 @@ api::StationStatus Daemon::status() {
   status.cause_searched = conductor_.progress().cause_searched;
   if (last_record_) status.last_verdict = std::string(to_string(last_record_->verdict));
   status.ticks = board.ticks.load();
-  status.skipped = board.skipped.load();
+  // Of a finer grid, the points between two ticks, too.
+  status.skipped = station_.codec.commands_per_period > 1 && !simulated_loop_
+                       ? loop_.statistics().skipped.load()
+                       : board.skipped.load();
   status.lateness_avg_us = lateness.avg_us;
   status.lateness_max_us = lateness.max_us;
   status.force_N = board.force_N.load();

@@ -27,11 +27,14 @@ can::WireFault wire_fault(const sim::PlantConfiguration& configuration, double t
 
 Plant::Plant(can::FrameBus& bus, const can::ProtocolCodec& codec,
              const sim::PlantConfiguration& configuration, Trace* trace)
-    : brake_{configuration}, node_{bus, codec, brake_}, trace_{trace} {}
+    : brake_{configuration, codec.samples_per_period},
+      node_{bus, codec, brake_},
+      trace_{trace},
+      cycle_s_{kPeriod_s / codec.samples_per_period} {}
 
 void Plant::tick(std::int64_t now_ns, std::int64_t /*lateness_ns*/,
                  std::uint64_t /*skipped_periods*/) noexcept {
-  const double time_s = static_cast<double>(samples_) * kPeriod_s;
+  const double time_s = static_cast<double>(samples_) * cycle_s_;
   const std::int64_t sampled_ns = now_ns + std::llround(brake_.lateness_s() * 1e9);
   const BrakeFeedback reading = node_.tick(sampled_ns, wire_fault(brake_.configuration(), time_s));
   if (trace_ != nullptr) {

@@ -134,6 +134,19 @@ void read_sequence(TableReader& can, std::string_view key, const std::string& fi
   }
 }
 
+void read_cycle(TableReader& reader, const toml::table& table, std::string_view key, double& cycle_ms) {
+  constexpr std::array kCycles_ms{1.0, 0.5, 0.25, 0.2};
+  reader.number(key, cycle_ms, 1e-3, 1e3);
+  if (std::find(kCycles_ms.begin(), kCycles_ms.end(), cycle_ms) != kCycles_ms.end()) return;
+  reader.refuse(
+      table.get(key)->source(),
+      fmt::format("can.{} is {:g} ms; it can be 1, 0.5, 0.25 or 0.2. {}", key, cycle_ms,
+                  cycle_ms > 1.0
+                      ? "Control and estimates need readings and commands each millisecond: a brake with "
+                        "slower frames needs a faster mode for its check"
+                      : "A millisecond has to be a multiple of it"));
+}
+
 void read_can(TableReader& reader, const toml::table& table, const std::string& file,
               const std::string& folder, std::optional<Error>& error, CanSettings& can) {
   constexpr std::size_t kMaxInterface = 15;  // IFNAMSIZ - 1
@@ -147,6 +160,8 @@ void read_can(TableReader& reader, const toml::table& table, const std::string& 
     reader.refuse(
         table.get("data_bitrate")->source(),
         "can.data_bitrate must not be below can.bitrate; leave it out for a bus without bit-rate switch");
+  read_cycle(reader, table, "feedback_cycle_ms", can.feedback_cycle_ms);
+  read_cycle(reader, table, "command_cycle_ms", can.command_cycle_ms);
   read_protection(reader, file, error, can.protection);
   read_can_mapping(reader, file, error, can.mapping);
   read_sequence(reader, "startup", file, error, can.startup);
@@ -388,9 +403,10 @@ void read_recipes_section(TableReader& reader, const toml::table& table, const s
                           StationConfiguration& configuration) {
   reader.path("directory", configuration.recipes_directory, folder);
   if (!configuration.recipes_directory.empty() && !configuration.part_number.empty())
-    reader.refuse(table.source(),
-                  "recipes.directory and station.part_number exclude each other: where there are recipes, each "
-                  "check's part number is chosen when it is started; leave out one of the two");
+    reader.refuse(
+        table.source(),
+        "recipes.directory and station.part_number exclude each other: where there are recipes, each "
+        "check's part number is chosen when it is started; leave out one of the two");
 }
 
 /// What a file leaves open: of the parts that were read, and of what they say together.

@@ -1,11 +1,14 @@
 // Whole checks of the simulated brake in virtual time, against its truth.
 
 #include <cmath>
+#include <cstdlib>
 #include <optional>
 #include <span>
+#include <string>
 #include <utility>
 #include <vector>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -14,6 +17,8 @@
 #include "clampd/base/clock.hpp"
 #include "clampd/bench/check_conductor.hpp"
 #include "clampd/experiment/manoeuvres.hpp"
+#include "drivers/can/brake_node.hpp"
+#include "drivers/sim/simulated_brake.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd::bench {
@@ -185,11 +190,6 @@ TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
     const auto station = prepare_station(configuration);
     EXPECT_TRUE(station) << station.error().message;
   }
-  StationConfiguration without_time;
-  without_time.can.mapping = {{"sample_clock", ""}, {"counter", ""}};
-  const auto timeless = prepare_station(without_time);
-  ASSERT_FALSE(timeless);
-  EXPECT_THAT(timeless.error().message, HasSubstr("Name the signal of one of the two in [can.mapping]"));
   StationConfiguration without_crc;
   without_crc.can.mapping = {{"crc", ""}};
   const auto refused = prepare_station(without_crc);
@@ -206,7 +206,7 @@ TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
 
 // One frame of CAN FD with AUTOSAR's profile 7 in place of the two classic ones, and a brake that has to be
 // woken.
-TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
+StationConfiguration can_fd_station() {
   StationConfiguration configuration;
   configuration.can.dbc = CLAMPD_SOURCE_DIR "/tests/hil/guest/brake_fd.dbc";
   configuration.can.data_bitrate = 4'000'000;
@@ -224,6 +224,11 @@ TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
                                {"counter", "Counter"},
                                {"crc", "Crc"}};
   configuration.can.startup = {{"ModeRequest", {{"Mode", 3.0}, {"Key", 165.0}}, 20.0}};
+  return configuration;
+}
+
+TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
+  StationConfiguration configuration = can_fd_station();
   auto station = prepare_station(configuration);
   ASSERT_TRUE(station) << station.error().message;
   EmbeddedStation bench(*std::move(station), plant(1));
@@ -240,12 +245,17 @@ TEST(EmbeddedStation, ChecksABrakeThatSpeaksCanFd) {
   EXPECT_THAT(refused.error().message, HasSubstr("start-up frame 1: ModeRequest.Mode cannot be 16"));
 }
 
+using Mapping = std::vector<std::pair<std::string, std::string>>;
+const Mapping kWithoutClock = {{"sample_clock", ""}};
+const Mapping kWithoutClockAndCounter = {{"sample_clock", ""}, {"counter", ""}};
+
 // A brake that sends no clock: its instants are told by the arrivals. Where it samples unevenly, and nothing
 // tells, the readings are noisier, and so are the estimates.
 TEST(EmbeddedStation, ChecksABrakeThatSendsNoClock) {
-  for (const double jitter_s : {0.0, 10e-6}) {
+  for (const auto& [mapping, jitter_s] : {std::pair(kWithoutClock, 0.0), std::pair(kWithoutClock, 10e-6),
+                                          std::pair(kWithoutClockAndCounter, 0.0)}) {
     StationConfiguration configuration;
-    configuration.can.mapping = {{"sample_clock", ""}};
+    configuration.can.mapping = mapping;
     auto station = prepare_station(configuration);
     ASSERT_TRUE(station) << station.error().message;
     sim::PlantConfiguration brake = plant(1);
@@ -262,6 +272,90 @@ TEST(EmbeddedStation, ChecksABrakeThatSendsNoClock) {
     for (std::size_t i = 0; i < record->parameters.size(); ++i)
       EXPECT_NEAR(record->parameters[i].value, truth.theta[i], 4.5 * record->parameters[i].sd)
           << jitter_s << " " << record->parameters[i].name;
+  }
+}
+
+// A brake that samples more often than the station decides, and one that wants a command more often. Torque
+// changes within the rows of such a check.
+TEST(EmbeddedStation, ChecksABrakeWithFasterFrames) {
+  for (const auto& [feedback_ms, command_ms] :
+       {std::pair(0.5, 0.5), std::pair(0.5, 1.0), std::pair(1.0, 0.2), std::pair(0.25, 0.25)}) {
+    StationConfiguration configuration = can_fd_station();
+    configuration.can.data_bitrate = 8'000'000;
+    configuration.can.feedback_cycle_ms = feedback_ms;
+    configuration.can.command_cycle_ms = command_ms;
+    for (const bool clocked : {true, false}) {
+      for (auto& [role, signal] : configuration.can.mapping)
+        if (role == "sample_clock" && !clocked) signal.clear();
+      auto station = prepare_station(configuration);
+      ASSERT_TRUE(station) << station.error().message;
+      EmbeddedStation bench(*std::move(station), plant(1));
+      const auto record = bench.run_check(request(8), nullptr, nullptr);
+      ASSERT_TRUE(record) << record.error().message;
+      const auto which = fmt::format("{} ms, {} ms, {}", feedback_ms, command_ms, clocked);
+      EXPECT_EQ(record->verdict, Verdict::Pass) << which << ": " << record->reason;
+      EXPECT_EQ(record->timing.lost_samples, 0U) << which;
+      EXPECT_EQ(record->runs.front().run.size(), 300U) << which;
+      const BrakeParameters truth;
+      for (std::size_t i = 0; i < record->parameters.size(); ++i)
+        EXPECT_NEAR(record->parameters[i].value, truth.theta[i], 4.5 * record->parameters[i].sd)
+            << which << " " << record->parameters[i].name;
+    }
+  }
+}
+
+TEST(PreparedStation, RefusesFramesThatNoBusOfItsBitRateCarries) {
+  StationConfiguration configuration = can_fd_station();
+  configuration.can.feedback_cycle_ms = configuration.can.command_cycle_ms = 0.2;
+  const auto refused = prepare_station(configuration);
+  ASSERT_FALSE(refused);
+  EXPECT_THAT(refused.error().message, HasSubstr("% of a bus at 1000000 bit/s, with readings every 0.2 ms"));
+}
+
+// Nothing in its frames tells whether they are new, and from some instant on they are the same ones again and
+// again: only the readings contradict what the brake is told to do.
+TEST(EmbeddedStation, FramesThatAreSentAgainAndAgainEndACheck) {
+  StationConfiguration configuration;
+  configuration.can.mapping = kWithoutClockAndCounter;
+  const rt::SupervisorSettings limits;
+  constexpr int kInstants = 60;
+  for (int i = 0; i < kInstants; ++i) {
+    auto prepared_station = prepare_station(configuration);
+    ASSERT_TRUE(prepared_station) << prepared_station.error().message;
+    const PreparedStation station = *std::move(prepared_station);
+    can::EmbeddedBus bus;
+    can::CanBrake port(bus.end(can::EmbeddedBus::End::Station), station.codec);
+    sim::SimulatedBrake brake(plant(static_cast<std::uint64_t>(i)));
+    can::BrakeNode<sim::SimulatedBrake> node(bus.end(can::EmbeddedBus::End::Brake), station.codec, brake);
+    rt::ControlCore core(port, station.supervisor);
+    CheckConductor conductor(station, core, nullptr, WorkerMode::Synchronous);
+    std::int64_t now_ns = 0;
+    const auto advance = [&](can::WireFault fault) {
+      node.tick(now_ns, fault);
+      core.tick(now_ns + kPeriod_ns / 2, 0, 0);
+      now_ns += kPeriod_ns;
+      EXPECT_LT(std::abs(brake.truth().velocity_rad_s), 1.2 * limits.speed_limit_rad_s) << i;
+      EXPECT_LT(brake.truth().force_N, 1.1 * limits.force_limit_N) << i;
+    };
+    while (core.status().state.load() != StationState::Idle) advance(can::WireFault::None);
+    ASSERT_TRUE(conductor.begin(request(1), {now_ns, now_ns}));
+    // A check of one repeat drives the brake for some 2.4 s.
+    const std::int64_t frozen_ns = now_ns + i * 40'000'000;
+    std::optional<CheckRecord> record;
+    double torque_Nm = 0.0;
+    while (!record) {
+      if (now_ns <= frozen_ns) torque_Nm = brake.truth().torque_Nm;
+      advance(now_ns < frozen_ns ? can::WireFault::None : can::WireFault::FrozenCounter);
+      record = conductor.pump({now_ns, now_ns});
+    }
+    if (now_ns < frozen_ns) break;  // over before
+    EXPECT_EQ(record->verdict, Verdict::Error) << i << ": " << record->reason;
+    if (std::abs(torque_Nm) > 0.2) {
+      EXPECT_LE(core.status().fault_time_ns.load() - frozen_ns, 15 * kPeriod_ns) << i;
+    }
+    const std::int64_t off_ns = now_ns + 3 * kPeriod_ns;
+    while (now_ns < off_ns) advance(can::WireFault::FrozenCounter);
+    EXPECT_EQ(brake.truth().torque_Nm, 0.0) << i;
   }
 }
 

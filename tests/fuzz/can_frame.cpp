@@ -38,16 +38,24 @@ class Wire final : public FrameBus {
   Frame sent;
 };
 
-const ProtocolCodec& codec() {
-  static const ProtocolCodec codec = [] {
-    const auto built =
-        read_dbc(CLAMPD_SOURCE_DIR "/configs/brake.dbc").and_then([](const Database& database) {
-          return ProtocolCodec::build(database, {});
-        });
-    CLAMPD_ASSERT(built.has_value());
-    return *built;
+ProtocolCodec codec_of(const ProtocolMapping& mapping) {
+  const auto built = read_dbc(CLAMPD_SOURCE_DIR "/configs/brake.dbc").and_then([&](const Database& database) {
+    return ProtocolCodec::build(database, mapping);
+  });
+  CLAMPD_ASSERT(built.has_value());
+  return *built;
+}
+
+/// One brake that sends a clock, one that only counts, and one that does neither.
+const std::array<ProtocolCodec, 3>& codecs() {
+  static const std::array<ProtocolCodec, 3> codecs = [] {
+    ProtocolMapping clockless;
+    clockless.sample_clock = "";
+    ProtocolMapping uncounted = clockless;
+    uncounted.counter = "";
+    return std::array{codec_of({}), codec_of(clockless), codec_of(uncounted)};
   }();
-  return codec;
+  return codecs;
 }
 
 constexpr std::size_t kBytesPerFrame = 10;
@@ -55,9 +63,8 @@ constexpr std::size_t kBytesPerFrame = 10;
 /// How it came, then its content: bits 0 and 1 of the first byte say which frame it is, bit 2 that counter
 /// (bits 4 to 7) and CRC are put right, bit 3 that its size is; the second byte is the time since the last
 /// one, in 0.1 ms.
-Frame frame_of(const std::uint8_t* bytes) {
-  const std::array<const FrameLayout*, 3> layouts{&codec().command, &codec().feedback[0],
-                                                  &codec().feedback[1]};
+Frame frame_of(const ProtocolCodec& codec, const std::uint8_t* bytes) {
+  const std::array<const FrameLayout*, 3> layouts{&codec.command, &codec.feedback[0], &codec.feedback[1]};
   const std::size_t which = bytes[0] & 3U;
   const FrameLayout& layout = *layouts[std::min<std::size_t>(which, 2)];
   Frame frame = layout.blank();
@@ -81,15 +88,10 @@ void check(const BrakeFeedback& reading, std::int64_t& index, std::int64_t& time
   time_ns = reading.brake_time_ns;
 }
 
-}  // namespace
-}  // namespace clampd::can
-
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  using namespace clampd;
-  using namespace clampd::can;
+void listen(const ProtocolCodec& codec, const std::uint8_t* data, std::size_t size) {
   Wire wire;
-  CanBrake station(wire, codec());
-  BrakeProtocol brake(codec());
+  CanBrake station(wire, codec);
+  BrakeProtocol brake(codec);
   std::array<BrakeFeedback, 8> readings;
   std::int64_t now_ns = 1'000'000'000;
   std::int64_t index = -1;
@@ -102,7 +104,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   };
   for (; size >= kBytesPerFrame; data += kBytesPerFrame, size -= kBytesPerFrame) {
     now_ns += data[1] * 100'000;
-    const Frame frame = frame_of(data);
+    const Frame frame = frame_of(codec, data);
     wire.frames.push_back({frame, now_ns});
     if (data[1] > 10) receive();
     if (const auto command = brake.accept(frame, now_ns))
@@ -110,11 +112,11 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   receive();
 
-  constexpr int kSamples = 8;
+  const int samples = codec.sample_clock.present ? 8 : 4 * ArrivalClock::kSettlingSamples;
   BrakeFeedback reading;
   reading.brake_time_ns = 123'000'000;
-  BrakeProtocol healthy(codec());
-  for (int sample = 0; sample < kSamples; ++sample) {
+  BrakeProtocol healthy(codec);
+  for (int sample = 0; sample < samples; ++sample) {
     now_ns += kPeriod_ns;
     reading.brake_time_ns += kPeriod_ns;
     std::array<Frame, kMaxFeedbackFrames> frames;
@@ -122,7 +124,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     for (std::size_t i = 0; i < count; ++i) wire.frames.push_back({frames[i], now_ns});
     const std::int64_t before = index;
     receive();
-    if (sample >= kSamples / 2) CLAMPD_ASSERT(index == before + 1);
+    if (sample >= samples / 2) CLAMPD_ASSERT(index == before + 1);
   }
   for (const double torque_Nm : {1.0, std::nan(""), 1e300}) {
     station.send({torque_Nm, true}, now_ns);
@@ -131,5 +133,13 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     CLAMPD_ASSERT(command && std::isfinite(command->torque_Nm) &&
                   command->enable == std::isfinite(torque_Nm));
   }
+}
+
+}  // namespace
+}  // namespace clampd::can
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  for (const clampd::can::ProtocolCodec& codec : clampd::can::codecs())
+    clampd::can::listen(codec, data, size);
   return 0;
 }

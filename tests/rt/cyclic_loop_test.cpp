@@ -119,6 +119,48 @@ TEST(CyclicLoop, ShutsDownOnceAfterTheLastTick) {
   EXPECT_EQ(recorder.calls.size(), 4U);
 }
 
+/// A core whose brake wants a command four times in a period.
+struct Repeater {
+  Recorder recorder;
+  std::vector<std::int64_t> between_ns;
+  void tick(std::int64_t now_ns, std::int64_t lateness_ns, std::uint64_t skipped) noexcept {
+    recorder.tick(now_ns, lateness_ns, skipped);
+  }
+  void between(std::int64_t now_ns) noexcept { between_ns.push_back(now_ns); }
+  void shutdown(std::int64_t now_ns) noexcept { recorder.shutdown(now_ns); }
+};
+
+TEST(FinerGrid, TicksOncePerPeriodAndRepeatsInBetween) {
+  constexpr std::int64_t kQuarter_ns = kPeriod_ns / 4;
+  VirtualClock clock;
+  // In the second period the third point is passed; in the third one the last one and the fourth period's
+  // first two; then a stay of over two periods.
+  clock.late_by = {0, 5, 0, 7, 0, kQuarter_ns + 9, 0, 0, 11, 3 * kQuarter_ns + 13, 0, 10 * kQuarter_ns + 1};
+  std::atomic<bool> stop{false};
+  Repeater core{{clock, stop, 5, {}, {}}, {}};
+  FinerGrid<Repeater> grid(core, 4);
+  LoopStatistics statistics;
+  run_cyclic(clock, grid, stop, statistics, kQuarter_ns);
+  const std::vector<Call>& calls = core.recorder.calls;
+  ASSERT_EQ(calls.size(), 5U);
+  const auto at = [&](std::size_t i) { return calls[i].now_ns - kOrigin_ns; };
+  EXPECT_EQ(at(0), kPeriod_ns + 7);
+  EXPECT_EQ(calls[0].lateness_ns, 7);
+  EXPECT_EQ(at(1), 2 * kPeriod_ns);
+  EXPECT_EQ(calls[1].lateness_ns, 0);
+  EXPECT_EQ(at(2), 3 * kPeriod_ns + 2 * kQuarter_ns + 13);
+  EXPECT_EQ(calls[2].lateness_ns, 2 * kQuarter_ns + 13);
+  for (std::size_t i = 0; i < 3; ++i) EXPECT_EQ(calls[i].skipped, 0U) << i;
+  EXPECT_EQ(at(3), 6 * kPeriod_ns + 2 * kQuarter_ns + 1);
+  EXPECT_EQ(calls[3].lateness_ns, 2 * kPeriod_ns + 2 * kQuarter_ns + 1);
+  EXPECT_EQ(calls[3].skipped, 2U);
+  EXPECT_EQ(at(4), 7 * kPeriod_ns);
+  EXPECT_EQ(calls[4].lateness_ns, 0);
+  EXPECT_EQ(calls[4].skipped, 0U);
+  EXPECT_EQ(core.between_ns.size(), 3U + 2U + 2U + 1U + 1U);
+  EXPECT_EQ(core.recorder.shutdowns, 1);
+}
+
 struct Counter {
   std::atomic<std::uint64_t> ticks{0};
   std::atomic<std::uint64_t> periods{0};

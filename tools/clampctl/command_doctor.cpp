@@ -70,7 +70,12 @@ ReadinessFact examine_load(const StationConfiguration& configuration, const can:
   const double load = can::bus_load(codec, bitrate, bench::bus_format(configuration, codec).data_speedup);
   return {"CAN bus load", load <= kRoomNeeded ? ReadinessStatus::Ok : ReadinessStatus::Fail,
           fmt::format("{:.0f} % of {} bit/s at worst", 100.0 * load, bitrate),
-          load <= kRoomNeeded ? "" : "use 1 Mbit/s: four frames a millisecond do not fit at 500 kbit/s"};
+          load <= kRoomNeeded
+              ? ""
+              : fmt::format("more than {:.0f} % leaves no room for a frame that has to be sent again: raise "
+                            "can.bitrate or "
+                            "can.data_bitrate, or have fewer, shorter or less frequent frames",
+                            100.0 * kRoomNeeded)};
 }
 
 ReadinessFact examine_database(const std::string& database) {

@@ -100,6 +100,7 @@ int run(const Options& options) {
   rt::CyclicThreadSettings settings;
   settings.priority = options.priority;
   settings.lock_memory = options.priority > 0;
+  settings.period_ns = codec->feedback_cycle_ns();
   if (const auto started = thread.start(settings, plant); !started) return refuse(started.error().message);
   fmt::print(stderr, "clampd-plant {}: a simulated brake on {}\n", kVersion, options.interface);
   int code = attend(**bus, trace_or_null, options);

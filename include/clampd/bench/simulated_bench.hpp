@@ -6,11 +6,30 @@
 #include "clampd/base/realtime.hpp"
 #include "clampd/bench/prepared_station.hpp"
 #include "clampd/simulation/plant.hpp"
+#include "drivers/can/codec.hpp"
 #include "drivers/can/embedded_bus.hpp"
 #include "drivers/sim/plant_configuration.hpp"
 #include "rt/control_core.hpp"
 
 namespace clampd::bench {
+
+/// One period of a simulated brake and a station in virtual time: the brake samples from `begin_ns` on, the
+/// station's tick comes half a period later, and either as often as `codec` says.
+template <class Brake, class Core>
+CLAMPD_REALTIME void simulate_period(Brake& brake, Core& core, const can::ProtocolCodec& codec,
+                                     std::int64_t begin_ns, std::int64_t lateness_ns) noexcept {
+  constexpr int kParts = 20;  // all of can::kFramesPerPeriod divide it
+  const int between_samples = kParts / codec.samples_per_period;
+  const int between_commands = kParts / codec.commands_per_period;
+  for (int part = 0; part < kParts; ++part) {
+    const std::int64_t now_ns = begin_ns + part * (kPeriod_ns / kParts);
+    if (part % between_samples == 0) brake.tick(now_ns, 0, 0);
+    if (part == kParts / 2)
+      core.tick(now_ns, lateness_ns, 0);
+    else if ((part + kParts / 2) % between_commands == 0)
+      core.between(now_ns);
+  }
+}
 
 /// A simulated brake on an in-process bus beside the station's loop, in the loop's own thread. Its clock is
 /// the loop's count of ticks: where the machine is late, brake and station are late together, so that no
@@ -29,8 +48,7 @@ class SimulatedBench {
     CLAMPD_REALTIME void tick(std::int64_t now_ns, std::int64_t lateness_ns,
                               std::uint64_t /*skipped_periods*/) noexcept {
       bench_.clock_ns_ = bench_.clock_ns_ == 0 ? now_ns : bench_.clock_ns_ + kPeriod_ns;
-      bench_.brake_.tick(bench_.clock_ns_ - kPeriod_ns / 2, 0, 0);
-      core_.tick(bench_.clock_ns_, lateness_ns, 0);
+      simulate_period(bench_.brake_, core_, bench_.codec_, bench_.clock_ns_ - kPeriod_ns / 2, lateness_ns);
     }
     CLAMPD_REALTIME void shutdown(std::int64_t /*now_ns*/) noexcept { core_.shutdown(bench_.clock_ns_); }
 
@@ -40,6 +58,7 @@ class SimulatedBench {
   };
 
  private:
+  const can::ProtocolCodec& codec_;
   can::EmbeddedBus bus_;
   plant::Plant brake_;
   std::int64_t clock_ns_ = 0;

@@ -98,6 +98,7 @@ class Daemon final : public api::ControlTarget {
   can::SocketCanBus* socket_;  ///< null: on a simulated bench
   can::CanBrake port_;
   rt::ControlCore core_;
+  rt::FinerGrid<rt::ControlCore> finer_grid_;
   std::optional<bench::SimulatedBench::Loop> simulated_loop_;
   rt::CyclicThread loop_;
 

@@ -74,6 +74,10 @@ class BrakePort {
   /// Sends one command; never blocks. False if it could not be handed to the link.
   CLAMPD_REALTIME virtual bool send(const TorqueCommand& command, std::int64_t now_ns) noexcept = 0;
 
+  /// Sends the last command again, if there was one; for a brake that wants them more often than the loop
+  /// decides.
+  CLAMPD_REALTIME virtual void repeat(std::int64_t /*now_ns*/) noexcept {}
+
   /// The station ends: what the brake is told after the last command.
   CLAMPD_REALTIME virtual void end(std::int64_t /*now_ns*/) noexcept {}
 

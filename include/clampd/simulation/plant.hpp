@@ -30,6 +30,7 @@ class Plant {
   sim::SimulatedBrake brake_;
   can::BrakeNode<sim::SimulatedBrake> node_;
   Trace* trace_;
+  double cycle_s_;
   std::int64_t samples_ = 0;
 };
 

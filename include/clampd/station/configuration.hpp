@@ -48,6 +48,8 @@ struct CanSettings {
   std::uint32_t bitrate =
       1'000'000;                   ///< bit/s, for the bus load; the interface itself is set up by the system
   std::uint32_t data_bitrate = 0;  ///< bit/s of the data of CAN FD frames; 0: no bit-rate switch
+  double feedback_cycle_ms = 1.0;  ///< 1, 0.5, 0.25 or 0.2
+  double command_cycle_ms = 1.0;   ///< likewise
   CanProtection protection;
   /// Names in this brake's DBC file by role, one of kMappingRoles; roles that are not named keep their
   /// default.

@@ -137,6 +137,55 @@ TEST(ArrivalClock, ABrakeThatBeganAnewIsFollowedAnew) {
   EXPECT_LT(missed, 2 * ArrivalClock::kSettlingSamples);
 }
 
+// Nothing counts the samples of this brake. Frames are lost, held up by up to four periods, and let go in
+// bursts: what is believed is where it belongs.
+TEST(ArrivalClock, WithoutACounterNothingIsTakenForAnotherSample) {
+  constexpr double kDelay_ns = 50e3;
+  Brake brake(1.0003e6, kDelay_ns, 11, 16);
+  ArrivalClock clock(0);
+  std::mt19937_64 random(4);
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  std::int64_t previous_ns = 0, held_until_ns = 0;
+  double last_sampled_ns = 0.0;
+  std::int64_t samples = 0;
+  int good = 0, lost_or_held = 0, offered = 0;
+  for (int i = 0; i < 20000; ++i) {
+    const bool calm = i < 200;
+    const int lost = !calm && uniform(random) < 0.003 ? 1 + static_cast<int>(random() % 5) : 0;
+    Brake::Arrival arrival = brake.next(lost);
+    if (!calm && uniform(random) < 0.003)
+      held_until_ns = arrival.arrival_ns + std::llround(4e6 * uniform(random));
+    lost_or_held += lost > 0 || arrival.arrival_ns < held_until_ns ? 1 : 0;
+    arrival.arrival_ns = std::max(arrival.arrival_ns, held_until_ns + 1000 * i % 7);
+    const ArrivalClock::Instant instant = clock.follow(0, arrival.arrival_ns);
+    ASSERT_GE(instant.samples, 0);
+    samples += instant.samples;
+    if (i < ArrivalClock::kSettlingSamples) continue;
+    ++offered;
+    if (instant.verdict != Verdict::Good) continue;
+    ++good;
+    ASSERT_NEAR(static_cast<double>(instant.time_ns), arrival.sampled_ns + 0.5 * kDelay_ns, 0.3e6) << i;
+    ASSERT_GT(instant.time_ns, previous_ns);
+    if (last_sampled_ns > 0.0) {
+      ASSERT_EQ(samples, std::llround((arrival.sampled_ns - last_sampled_ns) / 1.0003e6)) << i;
+    }
+    samples = 0;
+    last_sampled_ns = arrival.sampled_ns;
+    previous_ns = instant.time_ns;
+  }
+  EXPECT_GT(lost_or_held, 100);
+  EXPECT_GT(good, offered - 4 * lost_or_held) << "what is refused is what lies beside a gap";
+}
+
+TEST(ArrivalClock, WithoutACounterNoOtherPeriodIsFollowed) {
+  for (const double period : {0.2, 0.25, 0.5, 0.9, 0.97, 1.03, 1.1, 1.5, 2.0, 3.0, 5.0, 10.0}) {
+    Brake brake(period * static_cast<double>(kPeriod_ns), 20e3);
+    ArrivalClock clock(0);
+    for (int i = 0; i < 3000; ++i)
+      ASSERT_NE(clock.follow(0, brake.next().arrival_ns).verdict, Verdict::Good) << period;
+  }
+}
+
 TEST(ArrivalClock, AllocatesNothing) {
   Brake brake(1e6, 20e3);
   ArrivalClock clock(16);

@@ -2,6 +2,7 @@
 
 #include "drivers/can/log.hpp"
 
+#include <array>
 #include <random>
 #include <string>
 #include <vector>
@@ -18,6 +19,7 @@
 namespace clampd::can {
 namespace {
 
+using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -195,12 +197,94 @@ TEST_F(LogCheck, LostFramesAreANoteAndOthersAreListed) {
     return true;
   });
   EXPECT_THAT(finding.problems, IsEmpty());
-  EXPECT_THAT(finding.notes,
-              ::testing::Contains(HasSubstr("BrakeFeedback (0x180): its counter jumps 2 times")));
+  EXPECT_THAT(finding.notes, Contains(HasSubstr("BrakeFeedback (0x180): its counter jumps 2 times")));
   EXPECT_EQ(finding.samples, 998U);
   EXPECT_EQ(finding.counts.lost_samples, 2U);
   ASSERT_THAT(finding.others, SizeIs(1));
   EXPECT_EQ(finding.others.begin()->first, 0x321U);
+}
+
+/// What `can check` says of a log of a brake that sends no clock and samples every 1.01 ms; `change` as
+/// above.
+template <class Change>
+LogFinding check_without_clock(const std::string& counter, Change change) {
+  const Database database = read_dbc(CLAMPD_SOURCE_DIR "/configs/brake.dbc").value();
+  ProtocolMapping mapping;
+  mapping.sample_clock = "";
+  mapping.counter = counter;
+  const ProtocolCodec codec = ProtocolCodec::build(database, mapping).value();
+  BrakeProtocol brake(codec);
+  FrameLog log;
+  std::array<Frame, kMaxFeedbackFrames> frames;
+  for (int k = 1; k <= 1000; ++k) {
+    const std::size_t count = brake.feedback({}, frames);
+    for (std::size_t i = 0; i < count; ++i) {
+      LoggedFrame logged{k * 1'010'000 + static_cast<std::int64_t>(i) * 150'000 + k % 3 * 10'000, frames[i]};
+      if (change(k, logged)) log.frames.push_back(logged);
+    }
+  }
+  return check_log(log, database, mapping, codec);
+}
+
+TEST(LogCheckWithoutClock, TheArrivalsTellTheTime) {
+  for (const char* counter : {"AliveCounter", ""}) {
+    const LogFinding finding = check_without_clock(counter, [](int, LoggedFrame&) { return true; });
+    EXPECT_THAT(finding.problems, IsEmpty()) << counter;
+    EXPECT_GT(finding.samples, 1000U - 2 * ArrivalClock::kSettlingSamples) << counter;
+    EXPECT_THAT(finding.notes, Contains(HasSubstr("times are told by the arrivals, which vary by 0.009 ms")));
+    const auto unstamped = check_without_clock(counter, [](int, LoggedFrame& logged) {
+      logged.time_ns.reset();
+      return true;
+    });
+    EXPECT_THAT(unstamped.problems, Contains(HasSubstr("record it with candump -l"))) << counter;
+    const auto slow = check_without_clock(counter, [](int, LoggedFrame& logged) {
+      *logged.time_ns *= 2;
+      return true;
+    });
+    EXPECT_THAT(slow.problems, Contains(HasSubstr("no sample has a time: without a sample clock")))
+        << counter;
+  }
+}
+
+TEST(LogCheckWithoutClock, WithoutACounterTheFirstSampleAfterAGapIsLost) {
+  const auto gap = [](int k, LoggedFrame&) { return k < 500 || k > 502; };
+  const LogFinding counted = check_without_clock("AliveCounter", gap);
+  const LogFinding uncounted = check_without_clock("", gap);
+  EXPECT_EQ(counted.counts.counter_errors, 0U);
+  EXPECT_EQ(uncounted.counts.counter_errors, 0U);
+  EXPECT_EQ(uncounted.counts.lost_samples, counted.counts.lost_samples + 1);
+  EXPECT_THAT(uncounted.problems, IsEmpty());
+  EXPECT_THAT(uncounted.notes, Contains(HasSubstr("neither sample clock nor alive counter")));
+  // A gateway that lets go two at once, every now and then: neither is believed.
+  const LogFinding held_up = check_without_clock("", [](int k, LoggedFrame& logged) {
+    if (k > 200 && k % 20 == 0) *logged.time_ns += 900'000;
+    return true;
+  });
+  EXPECT_EQ(held_up.counts.counter_errors, 0U);
+  EXPECT_EQ(held_up.counts.lost_samples, 2U * 40U);
+}
+
+TEST(LogCheckWithoutClock, WhatWakesTheBrakeIsNoStrangersFrame) {
+  const Database database = read_dbc(CLAMPD_SOURCE_DIR "/tests/hil/guest/brake_fd.dbc").value();
+  ProtocolMapping mapping;
+  mapping.torque_command = "Command.Torque";
+  mapping.enable = "Command.Enable";
+  mapping.force = "Feedback.Force";
+  mapping.velocity = "Feedback.Velocity";
+  mapping.torque = "Feedback.Torque";
+  mapping.position = "Feedback.Position";
+  mapping.sample_clock = "Feedback.Clock";
+  mapping.enabled = mapping.watchdog = mapping.fault = "";
+  mapping.counter = "Counter";
+  mapping.protection.checksum = Checksum::E2e7;
+  mapping.startup = {{"ModeRequest", {{"Mode", 3.0}}, 0.0}};
+  const ProtocolCodec codec = ProtocolCodec::build(database, mapping).value();
+  FrameLog log;
+  log.frames.push_back({0, codec.startup.front().frame});
+  log.frames.push_back({1000, Frame{0x7FF, 1, {}}});
+  const LogFinding finding = check_log(log, database, mapping, codec);
+  ASSERT_THAT(finding.others, SizeIs(1));
+  EXPECT_EQ(finding.others.begin()->first, 0x7FFU);
 }
 
 }  // namespace

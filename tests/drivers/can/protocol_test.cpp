@@ -45,6 +45,63 @@ class Protocol : public ::testing::Test {
   std::int64_t clock_ns_ = 700'000'000;
 };
 
+/// A brake that samples four times in a period.
+class FasterBrake : public ::testing::Test {
+ protected:
+  FasterBrake() : codec_(brake_codec()) {
+    codec_.samples_per_period = 4;
+    station_.emplace(codec_);
+    brake_.emplace(codec_);
+  }
+  /// One sample, whose readings are its number (of the torque, thousandths).
+  std::optional<BrakeFeedback> sample(bool arrives = true, bool fault = false) {
+    ++count_;
+    BrakeFeedback reading;
+    reading.torque_Nm = 0.001 * count_;
+    reading.force_N = count_;
+    reading.drive_enabled = true;
+    reading.brake_fault = fault;
+    reading.brake_time_ns = 700'000'000 + count_ * codec_.feedback_cycle_ns();
+    std::array<Frame, kMaxFeedbackFrames> frames;
+    const std::size_t frame_count = brake_->feedback(reading, frames);
+    std::optional<BrakeFeedback> result;
+    for (std::size_t i = 0; arrives && i < frame_count; ++i)
+      if (const auto feedback = station_->accept(frames[i], reading.brake_time_ns)) result = feedback;
+    return result;
+  }
+  ProtocolCodec codec_;
+  std::optional<StationProtocol> station_;
+  std::optional<BrakeProtocol> brake_;
+  int count_ = 0;
+};
+
+TEST_F(FasterBrake, APeriodHasTheFirstReadingsAndTheMeanTorque) {
+  for (int period = 0; period < 100; ++period) {
+    for (int i = 0; i < 3; ++i) EXPECT_FALSE(sample(true, period == 7 && i == 1));
+    const auto whole = sample();
+    ASSERT_TRUE(whole) << period;
+    EXPECT_EQ(whole->sample_index, period);
+    EXPECT_NEAR(whole->force_N, 4.0 * period + 1.0, 0.5);
+    EXPECT_NEAR(whole->torque_Nm, 0.001 * (4.0 * period + 2.5), 1e-4);
+    EXPECT_EQ(whole->brake_time_ns, 700'000'000 + period * kPeriod_ns + codec_.feedback_cycle_ns());
+    EXPECT_EQ(whole->brake_fault, period == 7) << "said by any of them";
+  }
+  EXPECT_EQ(station_->counts().lost_samples, 0U);
+}
+
+TEST_F(FasterBrake, APeriodThatIsNotWholeIsLost) {
+  for (int i = 0; i < 4; ++i) sample();
+  for (int lost = 0; lost < 4; ++lost) {
+    int whole = 0;
+    for (int i = 0; i < 4; ++i) whole += sample(i != lost) ? 1 : 0;
+    EXPECT_EQ(whole, 0) << lost;
+    for (int i = 0; i < 4; ++i) whole += sample() ? 1 : 0;
+    EXPECT_EQ(whole, 1) << lost;
+  }
+  EXPECT_EQ(station_->counts().lost_samples, 4U);
+  EXPECT_EQ(station_->counts().counter_errors, 0U);
+}
+
 TEST_F(Protocol, ASampleArrivesAsItWasTaken) {
   const auto first = deliver(next_sample());
   ASSERT_TRUE(first);
