@@ -27,6 +27,8 @@ constexpr double kStallTravel_rad = 0.05;
 constexpr int kRestSamples = 10;
 constexpr double kRestSpeed_rad_s = 1.0;
 constexpr double kContactLost = 0.5;  // times contact_force_N
+/// Compression between two forces, times the nominal one: of a brake with 0.42 times the nominal stiffness.
+constexpr double kSoftestCompression = 1.55;
 constexpr double kLearnFactor = 5.0;  // times contact_force_N: how far the approach goes on
 constexpr double kMoveSpeed_rad_s = 220.0;
 constexpr double kArrived_rad = 0.03;
@@ -277,16 +279,19 @@ double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
 }
 
 /// Travel by the encoder and by the velocity since the approach began, or the reading that it disproves.
-/// Where they differ, the pads tell: between two forces lies a known compression.
+/// Where they differ, the pads tell: between two forces lies a known compression. Where they agree, and the
+/// pads give way more than those of any brake of this product, the force reads too little: the controller
+/// would clamp until it reads enough.
 FaultCause CheckSequence::prove_motion() const noexcept {
   const double position_rad = observer_.position_rad() - proof_.begin_rad;
   const double difference_rad = std::abs(proof_.velocity_rad - position_rad);
   const double larger_rad = std::max(std::abs(proof_.velocity_rad), std::abs(position_rad));
-  if (difference_rad < kProvenTravel_rad + kProvenShare * larger_rad) return FaultCause::None;
   const double contact_N = plan_->contact_force_N;
   const double expected_rad = std::sqrt(kLearnFactor * contact_N / plan_->drive.quadratic_N_rad2) -
                               std::sqrt(contact_N / plan_->drive.quadratic_N_rad2);
   const double compressed_rad = observer_.position_rad() - proof_.contact_rad;
+  if (difference_rad < kProvenTravel_rad + kProvenShare * larger_rad)
+    return compressed_rad > kSoftestCompression * expected_rad ? FaultCause::ForceReading : FaultCause::None;
   return std::abs(compressed_rad - expected_rad) > kProvenShare * expected_rad ? FaultCause::PositionReading
                                                                                : FaultCause::VelocityReading;
 }

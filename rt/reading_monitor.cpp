@@ -28,7 +28,7 @@ constexpr double kRelaxation = 0.1;  // share of the force that pads may lose at
 constexpr double kTorqueShare = 0.2;
 constexpr double kTorqueSamples = 10.0;       // samples at the tolerance that make a contradiction
 constexpr double kVelocityLag_samples = 3.0;  // a velocity reading may be filtered
-constexpr double kForceLag_samples = 5.0;
+constexpr double kForceLag_samples = ReadingMonitor::kForceLag;
 constexpr double kForceShare = 0.03;
 constexpr double kForceJump = 3.0;  // tolerances; so much in one sample is wrong at once, not an outlier
 constexpr double kFrozenForce_N = 300.0;  // due, while the reading repeated exactly
@@ -158,6 +158,7 @@ void ReadingMonitor::restart() noexcept {
 void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {
   torques_Nm_.fill_reported(feedback.torque_Nm);
   forces_N_.fill(feedback.force_N);
+  positions_rad_.fill(feedback.position_rad);
   force_N_ = feedback.force_N;
   momentum_ = {};
   momentum_.before_rad_s += feedback.velocity_rad_s;
@@ -260,13 +261,14 @@ inline double ReadingMonitor::compare_force(double reading_N, double step_rad) n
 inline double ReadingMonitor::compare_compression(double position_rad,
                                                   const ReadingContext& context) const noexcept {
   if (!context.contact_known) return 0.0;
-  const double compression_rad = position_rad - context.contact_rad;
-  const Pair range_rad{compression_rad - kContactUnknown_rad, compression_rad + kContactUnknown_rad};
+  // A force reading that lags is that of an earlier position.
+  const double lagging_rad = positions_rad_[oldest_position_];
+  const Pair range_rad{smaller(position_rad, lagging_rad) - context.contact_rad - kContactUnknown_rad,
+                       larger(position_rad, lagging_rad) - context.contact_rad + kContactUnknown_rad};
   const Pair in_contact_rad = larger(smaller(range_rad, Pair{} + bounds_.top_rad), Pair{});
   const Pair bounds_N = Pair{kForceLower, kForceUpper} * bounds_.nominal.force_in_contact_N(in_contact_rad);
   const double force_N = force_N_ - context.force_zero_N;
-  const double tolerance_N = tolerances_.force_N + kForceLag_samples * force_rate_N_;
-  return larger(bounds_N[kLower] - force_N, force_N - bounds_N[kUpper]) / tolerance_N;
+  return larger(bounds_N[kLower] - force_N, force_N - bounds_N[kUpper]) / tolerances_.force_N;
 }
 
 bool ReadingMonitor::encoder_stands_still() const noexcept {
@@ -320,6 +322,8 @@ FaultCause ReadingMonitor::observe(const BrakeFeedback& feedback, const ReadingC
   torques_Nm_.push(kReported, feedback.torque_Nm);
   const double force = compare_force(feedback.force_N, step_rad);
   const double compression = compare_compression(feedback.position_rad, context);
+  positions_rad_[oldest_position_] = feedback.position_rad;
+  oldest_position_ = oldest_position_ + 1 < positions_rad_.size() ? oldest_position_ + 1 : 0;
   const double position = compare_position(feedback.velocity_rad_s, step_rad, elapsed_s);
   const Pair least_Nm = torques_Nm_.least_Nm(), most_Nm = torques_Nm_.most_Nm();
   const Drivers drivers =

@@ -85,6 +85,9 @@ struct ReadingContext {
 /// two readings is decided by the comparisons that involve only one of them.
 class ReadingMonitor {
  public:
+  /// Samples by which a force reading may lag.
+  static constexpr int kForceLag = 5;
+
   ReadingMonitor(const ReadingTolerances& tolerances, const NominalDrive& drive) noexcept
       : ReadingMonitor(tolerances, Bounds(drive, tolerances.force_N)) {}
 
@@ -203,6 +206,8 @@ class ReadingMonitor {
   ReadingTolerances tolerances_;
   Bounds bounds_;
 
+  std::array<double, kForceLag> positions_rad_{};  ///< the last ones, a ring
+  std::size_t oldest_position_ = 0;
   Torques torques_Nm_;
   Forces forces_N_;
   double force_N_ = 0.0;  ///< their median

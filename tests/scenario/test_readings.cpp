@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <iostream>
+#include <random>
 
 #include <gtest/gtest.h>
 
@@ -36,6 +37,24 @@ TEST(SpoiledReadings, AFrozenEncoderNeverRunsAway) {
     EXPECT_NE(outcome.fault, FaultCause::None) << i;
     EXPECT_LT(outcome.speed_max_rad_s, 1.2 * limits.speed_limit_rad_s) << i;
     EXPECT_LT(outcome.force_max_N, 1.1 * limits.force_limit_N) << i;
+  }
+}
+
+/// The controller clamps until the force reads enough. What reads too little is told by how far the pads give
+/// way, before the first run or within it.
+TEST(SpoiledReadings, AForceThatReadsTooLittleNeverClampsTooHard) {
+  const Reference reference = shipped_reference();
+  const rt::SupervisorSettings limits;
+  std::mt19937_64 random(31);
+  std::uniform_real_distribution<double> scale(0.0, 0.7), instant_s(0.0, 3.3);
+  for (int i = 0; i < 900; ++i) {
+    sim::PlantConfiguration plant = i % 3 == 0 ? shipped_plant() : table_ii_brake(random);
+    plant.seed = random();
+    plant.spoiled = {{sim::Reading::Force, sim::Spoil::Scaled, scale(random), instant_s(random)}};
+    const CheckOutcome outcome = drive_check(plant, reference, 3);
+    EXPECT_LT(outcome.force_max_N, 1.1 * limits.force_limit_N)
+        << "times " << plant.spoiled.front().amount << " from " << plant.spoiled.front().at_s << " s on";
+    EXPECT_LT(outcome.speed_max_rad_s, 1.2 * limits.speed_limit_rad_s);
   }
 }
 
