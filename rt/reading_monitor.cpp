@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <utility>
 
 #include "clampd/base/clock.hpp"
 
@@ -258,11 +259,10 @@ inline double ReadingMonitor::compare_force(double reading_N, double step_rad) n
   return larger(larger(level[kAbove], level[kBelow]), jump_N / (kForceJump * tolerance_N));
 }
 
-inline double ReadingMonitor::compare_compression(double position_rad,
+inline double ReadingMonitor::compare_compression(double position_rad, double lagging_rad,
                                                   const ReadingContext& context) const noexcept {
   if (!context.contact_known) return 0.0;
   // A force reading that lags is that of an earlier position.
-  const double lagging_rad = positions_rad_[oldest_position_];
   const Pair range_rad{smaller(position_rad, lagging_rad) - context.contact_rad - kContactUnknown_rad,
                        larger(position_rad, lagging_rad) - context.contact_rad + kContactUnknown_rad};
   const Pair in_contact_rad = larger(smaller(range_rad, Pair{} + bounds_.top_rad), Pair{});
@@ -320,10 +320,9 @@ FaultCause ReadingMonitor::observe(const BrakeFeedback& feedback, const ReadingC
   const double elapsed_s = static_cast<double>(samples) * kPeriod_s;
   const double step_rad = feedback.position_rad - position_repeats_.last();
   torques_Nm_.push(kReported, feedback.torque_Nm);
+  const double lagging_rad = std::exchange(positions_rad_[forces_N_.oldest()], feedback.position_rad);
   const double force = compare_force(feedback.force_N, step_rad);
-  const double compression = compare_compression(feedback.position_rad, context);
-  positions_rad_[oldest_position_] = feedback.position_rad;
-  oldest_position_ = oldest_position_ + 1 < positions_rad_.size() ? oldest_position_ + 1 : 0;
+  const double compression = compare_compression(feedback.position_rad, lagging_rad, context);
   const double position = compare_position(feedback.velocity_rad_s, step_rad, elapsed_s);
   const Pair least_Nm = torques_Nm_.least_Nm(), most_Nm = torques_Nm_.most_Nm();
   const Drivers drivers =

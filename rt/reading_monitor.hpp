@@ -161,9 +161,10 @@ class ReadingMonitor {
     void push(double force_N) noexcept;
     void fill(double force_N) noexcept { values_N_.fill(force_N); }
     double median_N() const noexcept;
+    std::size_t oldest() const noexcept { return oldest_; }
 
    private:
-    std::array<double, 5> values_N_{};
+    std::array<double, kForceLag> values_N_{};
     std::size_t oldest_ = 0;
   };
 
@@ -196,7 +197,8 @@ class ReadingMonitor {
   Pair compare_momentum(const Drivers& drivers, Pair velocity_rad_s) noexcept;
   double compare_position(double velocity_rad_s, double step_rad, double elapsed_s) noexcept;
   double compare_force(double reading_N, double step_rad) noexcept;
-  double compare_compression(double position_rad, const ReadingContext& context) const noexcept;
+  double compare_compression(double position_rad, double lagging_rad,
+                             const ReadingContext& context) const noexcept;
   FaultCause verdict(const Levels& levels) const noexcept;
   FaultCause position_or_velocity() const noexcept;
   bool encoder_stands_still() const noexcept;
@@ -206,8 +208,7 @@ class ReadingMonitor {
   ReadingTolerances tolerances_;
   Bounds bounds_;
 
-  std::array<double, kForceLag> positions_rad_{};  ///< the last ones, a ring
-  std::size_t oldest_position_ = 0;
+  std::array<double, kForceLag> positions_rad_{};  ///< that go with forces_N_
   Torques torques_Nm_;
   Forces forces_N_;
   double force_N_ = 0.0;  ///< their median
