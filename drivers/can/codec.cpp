@@ -4,7 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numbers>
+#include <optional>
 #include <utility>
 
 #include "clampd/base/clock.hpp"
@@ -53,9 +55,9 @@ Result<Place> find(const Database& database, std::string_view what, const std::s
     return failure(fmt::format("{}: message {} of {} has no signal {}; it has {}", what, message->name,
                                database.file, place.substr(dot + 1), names_of(*message)));
   }
-  if (signal->multiplexor || signal->is_multiplexor) {
-    return failure(fmt::format("{}: {} in {} is multiplexed; the loop needs it in every frame", what, place,
-                               database.file));
+  if (signal->is_multiplexor) {
+    return failure(fmt::format("{}: {} in {} is a multiplexor: it says what else is in the frame", what,
+                               place, database.file));
   }
   if (!Field::fits(*signal)) {
     return failure(
@@ -105,7 +107,16 @@ Result<FrameLayout> frame_layout(const Database& database, const Message& messag
 }  // namespace
 
 Frame FrameLayout::blank() const noexcept {
-  return Frame{id, size, {}, format};
+  Frame frame{id, size, {}, format};
+  for (std::size_t i = 0; i < selector_count; ++i) selectors[i].field.set_raw(frame, selectors[i].value);
+  return frame;
+}
+
+bool FrameLayout::is_meant_by(const Frame& frame) const noexcept {
+  if (frame.id != id) return false;
+  for (std::size_t i = 0; i < selector_count; ++i)
+    if (frame.size != size || selectors[i].field.raw(frame) != selectors[i].value) return false;
+  return true;
 }
 
 bool FrameLayout::intact(const Frame& frame) const noexcept {
@@ -114,6 +125,63 @@ bool FrameLayout::intact(const Frame& frame) const noexcept {
 }
 
 namespace {
+
+/// The multiplexors that put all of `signals`, which are of one message, into its frames.
+class MultiplexorChoice {
+ public:
+  explicit MultiplexorChoice(const Message& message) : message_(message) {}
+
+  void need(const Signal& signal) {
+    names_ += (names_.empty() ? "" : ", ") + signal.name;
+    const Signal* selected = &signal;
+    // A file may have multiplexors that go round in a circle: one of the defects for which a message is
+    // refused.
+    for (std::size_t i = 0; selected->multiplexor && i < message_.signals.size(); ++i) {
+      wanted_[*selected->multiplexor].push_back(selected->selected_by);
+      selected = &message_.signals[*selected->multiplexor];
+    }
+  }
+
+  Result<void> choose(FrameLayout& layout, const std::string& where) const {
+    if (wanted_.size() > kMaxSelectors)
+      return failure(fmt::format("{}: {} are behind {} multiplexors; the station follows {}", where, names_,
+                                 wanted_.size(), kMaxSelectors));
+    for (const auto& [index, lists] : wanted_) {
+      const Signal& multiplexor = message_.signals[index];
+      const std::optional<std::uint64_t> value = common_value(lists);
+      if (!value || !Field::fits(multiplexor))
+        return failure(
+            fmt::format("{}: no frame holds all of {}, as its multiplexor {} has it; name signals that "
+                        "come together",
+                        where, names_, multiplexor.name));
+      layout.selectors[layout.selector_count++] = {Field(multiplexor, 1.0), *value};
+    }
+    return {};
+  }
+
+ private:
+  using Ranges = std::vector<std::pair<std::uint64_t, std::uint64_t>>;
+
+  /// The lowest value that lies in a range of each.
+  static std::optional<std::uint64_t> common_value(const std::vector<Ranges>& lists) {
+    std::optional<std::uint64_t> lowest;
+    for (const Ranges& candidates : lists)
+      for (const auto& candidate : candidates) {
+        const std::uint64_t value = candidate.first;
+        const bool common = std::all_of(lists.begin(), lists.end(), [value](const Ranges& ranges) {
+          return std::any_of(ranges.begin(), ranges.end(), [value](const auto& range) {
+            return range.first <= value && value <= range.second;
+          });
+        });
+        if (common) lowest = std::min(value, lowest.value_or(value));
+      }
+    return lowest;
+  }
+
+  const Message& message_;
+  std::string names_;
+  std::map<std::size_t, std::vector<Ranges>> wanted_;  ///< by the multiplexor's index
+};
 
 /// Resolves the names of a mapping, one after the other, into a codec.
 class CodecBuilder {
@@ -129,6 +197,7 @@ class CodecBuilder {
         add_command()
             .and_then([&] { return check_torque_command(); })
             .and_then([&] { return add_feedback(); })
+            .and_then([&] { return choose_multiplexors(); })
             .and_then([&] { return add_clock_tick(); })
             .and_then([&] { return add_sequence("start-up", mapping_.startup, codec_.startup); })
             .and_then([&] { return add_sequence("shut-down", mapping_.shutdown, codec_.shutdown); });
@@ -139,13 +208,29 @@ class CodecBuilder {
  private:
   template <class Units>
   Result<const Message*> command_field(std::string_view what, const std::string& name, const Units& units,
-                                       Field& field) const {
+                                       Field& field) {
     const auto place = find(database_, what, name);
     if (!place) return failure(place.error().message);
     const auto factor = si_factor(database_, what, name, place->signal->unit, units);
     if (!factor) return failure(factor.error().message);
     field = Field{*place->signal, *factor};
+    choice(*place->message).need(*place->signal);
     return place->message;
+  }
+
+  MultiplexorChoice& choice(const Message& message) {
+    return choices_.try_emplace(message.id, message).first->second;
+  }
+
+  Result<void> choose_multiplexors() {
+    const auto choose = [&](FrameLayout& layout) {
+      const MultiplexorChoice& choice = choices_.at(layout.id);
+      return choice.choose(
+          layout, fmt::format("message {} of {}", database_.find_message(layout.id)->name, database_.file));
+    };
+    Result<void> outcome = choose(codec_.command);
+    for (std::size_t i = 0; outcome && i < codec_.feedback_frames; ++i) outcome = choose(codec_.feedback[i]);
+    return outcome;
   }
 
   Result<void> add_command() {
@@ -201,6 +286,7 @@ class CodecBuilder {
     field.present = true;
     field.frame = static_cast<std::size_t>(found - messages_.begin());
     field.field = Field{*place->signal, *factor};
+    choice(*place->message).need(*place->signal);
     return {};
   }
 
@@ -298,7 +384,8 @@ class CodecBuilder {
   const ProtocolMapping& mapping_;
   ProtocolCodec codec_;
   const Message* command_message_ = nullptr;
-  std::vector<const Message*> messages_;  ///< of the feedback
+  std::vector<const Message*> messages_;                ///< of the feedback
+  std::map<std::uint32_t, MultiplexorChoice> choices_;  ///< by the message's identifier
 };
 
 }  // namespace

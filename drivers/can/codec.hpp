@@ -52,14 +52,27 @@ inline constexpr std::size_t kMaxFeedbackFrames = 4;
 /// How often in the loop's period a brake may sample, and want a command.
 inline constexpr std::array<int, 4> kFramesPerPeriod{1, 2, 4, 5};
 
+/// The value of a multiplexor by which a frame holds what is looked for.
+struct Selector {
+  Field field;
+  std::uint64_t value = 0;
+  bool operator==(const Selector&) const = default;
+};
+inline constexpr std::size_t kMaxSelectors = 2;
+
 /// One frame with its protection.
 struct FrameLayout {
   std::uint32_t id = 0;
   std::uint8_t size = 0;
   FrameFormat format = FrameFormat::Classic;
   FrameProtection protection;
+  std::array<Selector, kMaxSelectors> selectors{};  ///< of a multiplexed frame
+  std::size_t selector_count = 0;
 
+  /// All zero but for the multiplexors.
   CLAMPD_REALTIME Frame blank() const noexcept;
+  /// Whether a frame has this identifier and, if it is multiplexed, holds what is looked for.
+  CLAMPD_REALTIME bool is_meant_by(const Frame& frame) const noexcept;
   /// Whether a frame with this identifier has the size, format and protection that it must have. A bit-rate
   /// switch is not looked at: it is the sender's choice.
   CLAMPD_REALTIME bool intact(const Frame& frame) const noexcept;
@@ -101,9 +114,10 @@ struct ProtocolCodec {
   std::int64_t command_cycle_ns() const noexcept { return kPeriod_ns / commands_per_period; }
 
   /// Checks the mapping against the database. Errors name the DBC file, message and signal, and what is
-  /// needed: a name that is not there, a message with defects or of a size that no frame has, a multiplexed
-  /// signal, an unknown unit, a counter or checksum of the wrong shape, a command or clock that cannot
-  /// express what the loop needs, a start-up or shut-down frame that cannot be made.
+  /// needed: a name that is not there, a message with defects or of a size that no frame has, multiplexed
+  /// signals of one message that exclude each other, an unknown unit, a counter or checksum of the wrong
+  /// shape, a command or clock that cannot express what the loop needs, a start-up or shut-down frame that
+  /// cannot be made.
   static Result<ProtocolCodec> build(const Database& database, const ProtocolMapping& mapping);
 
   /// Identifiers the station receives, in the order of `feedback`.

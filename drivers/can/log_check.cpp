@@ -126,7 +126,7 @@ std::vector<std::string> fitting_checksums(const FrameLog& log, const Message& m
     if (!protection) continue;
     std::size_t tried = 0, matching = 0;
     for (const LoggedFrame& logged : log.frames) {
-      if (logged.frame.id != layout.id || logged.frame.size != layout.size) continue;
+      if (!layout.is_meant_by(logged.frame) || logged.frame.size != layout.size) continue;
       ++tried;
       matching += protection->matches(logged.frame) ? 1 : 0;
     }
@@ -285,7 +285,7 @@ LogFinding check_log(const FrameLog& log, const Database& database, const Protoc
   for (const std::uint32_t id : codec.command_ids()) finding.others.erase(id);
   for (const LoggedFrame& logged : log.frames)
     for (Watched& frame : watched)
-      if (frame.finding.id == logged.frame.id) take(frame, logged);
+      if (frame.layout->is_meant_by(logged.frame)) take(frame, logged);
   count_samples(log, codec, finding);
   const LoggedFrame &first = log.frames.front(), &last = log.frames.back();
   if (first.time_ns && last.time_ns)

@@ -67,7 +67,7 @@ bool StationProtocol::plausible(std::size_t index, const Frame& frame) const noe
 
 std::optional<BrakeFeedback> StationProtocol::accept(const Frame& frame, std::int64_t arrival_ns) noexcept {
   std::size_t index = 0;
-  while (index < codec_.feedback_frames && codec_.feedback[index].id != frame.id) ++index;
+  while (index < codec_.feedback_frames && !codec_.feedback[index].is_meant_by(frame)) ++index;
   if (index == codec_.feedback_frames) return std::nullopt;
   const FrameLayout& layout = codec_.feedback[index];
   if (!layout.intact(frame)) {
@@ -214,7 +214,7 @@ BrakeProtocol::BrakeProtocol(const ProtocolCodec& codec) : codec_{codec} {
 }
 
 std::optional<TorqueCommand> BrakeProtocol::accept(const Frame& frame, std::int64_t arrival_ns) noexcept {
-  if (frame.id != codec_.command.id) return std::nullopt;
+  if (!codec_.command.is_meant_by(frame)) return std::nullopt;
   const FrameProtection& protection = codec_.command.protection;
   if (!codec_.command.intact(frame)) {
     ++counts_.crc_errors;

@@ -65,7 +65,8 @@ class StationProtocol {
   /// without a counter, within half a cycle of the first), that sample: `sample_index` counts from 0 and
   /// follows counter and sample clock, `brake_time_ns` is the unwrapped sample clock, `arrival_time_ns` that
   /// of the completing frame. Without a sample clock, `brake_time_ns` is the instant that the arrivals tell,
-  /// and there is no sample until they do. Frames of other identifiers are ignored.
+  /// and there is no sample until they do. Frames of other identifiers, or multiplexed ones
+  /// with other content, are ignored.
   ///
   /// Of a brake that samples several times in a period, one sample comes for each period, once all of it are
   /// there: the readings of the first, and the mean of their torques, which is what acts until the next one.

@@ -3,10 +3,15 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <random>
 #include <string>
+
+#include "clampd/base/clock.hpp"
+#include "drivers/can/protocol.hpp"
 
 namespace clampd::can {
 namespace {
@@ -199,8 +204,6 @@ TEST(Codec, ErrorsSayWhatTheMappingNeeds) {
               HasSubstr("has 13 bytes; a CAN FD frame"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeClock").defects.push_back("x.dbc:1:2: overlap"); }),
               HasSubstr("x.dbc:1:2: overlap"));
-  EXPECT_THAT(with([](Database& d) { edit(d, "BrakeFeedback", "Force").multiplexor = 3; }),
-              HasSubstr("is multiplexed"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeClock").attributes["E2EDataId"] = "70000"; }),
               HasSubstr("E2EDataId is '70000'"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeCommand", "TorqueCommand").minimum = 0.0; }),
@@ -209,6 +212,111 @@ TEST(Codec, ErrorsSayWhatTheMappingNeeds) {
               HasSubstr("cannot express zero torque"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeClock", "SampleClock").bits = 8; }),
               HasSubstr("wrap after 16 ms"));
+}
+
+constexpr const char* kMultiplexedFrames = R"(VERSION ""
+BU_: X
+BO_ 256 Command: 8 X
+ SG_ Crc : 0|8@1+ (1,0) [0|255] "" X
+ SG_ Counter : 8|4@1+ (1,0) [0|15] "" X
+ SG_ Mode M : 12|4@1+ (1,0) [0|15] "" X
+ SG_ Enable : 16|1@1+ (1,0) [0|1] "" X
+ SG_ Torque m6 : 32|16@1- (0.0001,0) [-3.2|3.2] "Nm" X
+ SG_ Speed m7 : 32|16@1- (0.1,0) [0|0] "rad/s" X
+BO_ 384 Feedback: 16 X
+ SG_ Crc : 0|8@1+ (1,0) [0|255] "" X
+ SG_ Counter : 8|4@1+ (1,0) [0|15] "" X
+ SG_ Page M : 12|4@1+ (1,0) [0|15] "" X
+ SG_ Half m2M : 16|8@1+ (1,0) [0|255] "" X
+ SG_ Force m2 : 24|16@1- (2,0) [-4000|45000] "N" X
+ SG_ Velocity m2 : 40|16@1- (0.02,0) [-600|600] "rad/s" X
+ SG_ Torque m2 : 56|16@1- (0.0001,0) [-3.2|3.2] "Nm" X
+ SG_ Position m2 : 72|16@1- (0.02,0) [-500|500] "rad" X
+ SG_ Clock m9 : 88|32@1+ (1,0) [0|4294967295] "us" X
+ SG_ Temperature m3 : 24|16@1- (0.1,0) [0|0] "degC" X
+ SG_ Other m3 : 40|16@1- (2,0) [-4000|45000] "N" X
+SG_MUL_VAL_ 384 Half Page 2-2;
+SG_MUL_VAL_ 384 Force Page 1-2, 8-8;
+SG_MUL_VAL_ 384 Velocity Page 2-2, 5-8;
+SG_MUL_VAL_ 384 Torque Page 2-2;
+SG_MUL_VAL_ 384 Position Page 2-2;
+SG_MUL_VAL_ 384 Clock Half 9-11;
+SG_MUL_VAL_ 384 Temperature Page 3-3;
+SG_MUL_VAL_ 384 Other Page 3-3;
+)";
+
+ProtocolMapping multiplexed_mapping() {
+  ProtocolMapping names;
+  names.torque_command = "Command.Torque";
+  names.enable = "Command.Enable";
+  names.force = "Feedback.Force";
+  names.velocity = "Feedback.Velocity";
+  names.torque = "Feedback.Torque";
+  names.position = "Feedback.Position";
+  names.sample_clock = "Feedback.Clock";
+  names.enabled = names.watchdog = names.fault = "";
+  names.counter = "Counter";
+  return names;
+}
+
+TEST(Codec, MultiplexedSignalsAreReadWhereTheyAre) {
+  const auto database = parse_dbc(kMultiplexedFrames, "brake.dbc");
+  ASSERT_TRUE(database) << database.error().message;
+  const auto codec = ProtocolCodec::build(*database, multiplexed_mapping());
+  ASSERT_TRUE(codec) << codec.error().message;
+  StationProtocol station(*codec);
+  BrakeProtocol brake(*codec);
+
+  const Frame command = station.command({-1.5, true});
+  EXPECT_EQ(command.data[1] >> 4, 6) << "the mode in which the frame holds a torque";
+  const auto understood = brake.accept(command, 0);
+  ASSERT_TRUE(understood);
+  EXPECT_NEAR(understood->torque_Nm, -1.5, 1e-4);
+  Frame speed = command;
+  speed.data[1] = static_cast<std::uint8_t>(0x70 | (command.data[1] & 0x0F));
+  EXPECT_FALSE(brake.accept(speed, 0));
+  EXPECT_EQ(brake.counts().crc_errors, 0U) << "not meant for it";
+
+  for (int k = 1; k <= 100; ++k) {
+    BrakeFeedback reading;
+    reading.force_N = 100.0 * k;
+    reading.velocity_rad_s = -3.0 * k;
+    reading.brake_time_ns = k * kPeriod_ns;
+    std::array<Frame, kMaxFeedbackFrames> frames;
+    ASSERT_EQ(brake.feedback(reading, frames), 1U);
+    EXPECT_EQ(frames[0].data[1] >> 4, 2);
+    EXPECT_EQ(frames[0].data[2], 9);
+    // A frame with something else in the same places, in between.
+    Frame other = frames[0];
+    other.data[1] = static_cast<std::uint8_t>(0x30 | (other.data[1] & 0x0F));
+    EXPECT_FALSE(station.accept(other, k * kPeriod_ns - 500'000));
+    const auto sample = station.accept(frames[0], k * kPeriod_ns);
+    ASSERT_TRUE(sample) << k;
+    EXPECT_NEAR(sample->force_N, reading.force_N, 1.0);
+    EXPECT_NEAR(sample->velocity_rad_s, reading.velocity_rad_s, 0.01);
+    EXPECT_EQ(sample->brake_time_ns, reading.brake_time_ns);
+  }
+  EXPECT_EQ(station.counts().crc_errors + station.counts().counter_errors + station.counts().lost_samples,
+            0U);
+}
+
+TEST(Codec, RefusesMultiplexedSignalsThatNeverComeTogether) {
+  const auto database = parse_dbc(kMultiplexedFrames, "brake.dbc");
+  ASSERT_TRUE(database);
+  ProtocolMapping names = multiplexed_mapping();
+  names.force = "Feedback.Other";
+  EXPECT_THAT(
+      build_error(*database, names),
+      HasSubstr("message Feedback of brake.dbc: no frame holds all of Other, Velocity, Torque, Position, "
+                "Clock, as its multiplexor Page has it"));
+  names = multiplexed_mapping();
+  names.enabled = "Feedback.Half";
+  EXPECT_THAT(build_error(*database, names), HasSubstr("Half in brake.dbc is a multiplexor"));
+  const Database good = brake_database();
+  Database circular = good;
+  edit(circular, "BrakeFeedback", "Force").multiplexor = 3;
+  for (Signal& signal : edit(circular, "BrakeFeedback").signals) signal.multiplexor = 3;
+  EXPECT_NE(build_error(circular, {}), "no error") << "and ends";
 }
 
 }  // namespace
