@@ -11,6 +11,10 @@
 namespace clampd::can {
 namespace {
 
+/// Of changes of the torque: how fast they are forgotten, in rows; how many there must be, and how many times
+/// more than at the row's beginning, before rows begin elsewhere.
+constexpr double kForgetChange = 0.98, kLeastChange_Nm2 = 0.01, kClearChange = 4.0;
+
 /// Samples that a jump counts for where counter and clock contradict each other, at most.
 constexpr std::uint64_t kLargestJump = 16;
 
@@ -184,14 +188,33 @@ std::optional<BrakeFeedback> StationProtocol::complete(std::int64_t arrival_ns) 
   return codec_.samples_per_period == 1 ? feedback : of_period(feedback);
 }
 
+/// Where in the row commands take effect: there the torque changes from one sample to the next.
+void StationProtocol::follow_commands(const BrakeFeedback& sample) noexcept {
+  const std::int64_t per_period = codec_.samples_per_period;
+  const double change_Nm = sample.torque_Nm - last_torque_Nm_;
+  const bool next = sample.sample_index == last_sample_ + 1;
+  last_torque_Nm_ = sample.torque_Nm;
+  last_sample_ = sample.sample_index;
+  const auto place = static_cast<std::size_t>((sample.sample_index - shifted_) % per_period);
+  if (next) changes_Nm2_[place] = kForgetChange * changes_Nm2_[place] + change_Nm * change_Nm;
+  if (place != 0) return;
+  const auto begin = changes_Nm2_.begin(), end = begin + per_period;
+  const auto largest = std::max_element(begin, end);
+  if (*largest < kLeastChange_Nm2 || *largest < kClearChange * *begin) return;
+  shifted_ += largest - begin;
+  std::rotate(begin, largest, end);
+}
+
 std::optional<BrakeFeedback> StationProtocol::of_period(const BrakeFeedback& sample) noexcept {
-  const std::int64_t place = sample.sample_index % codec_.samples_per_period;
+  follow_commands(sample);
+  const std::int64_t index = sample.sample_index - shifted_;
+  const std::int64_t place = index % codec_.samples_per_period, row = index / codec_.samples_per_period;
   if (place == 0) {
     period_ = sample;
-    period_.sample_index = sample.sample_index / codec_.samples_per_period;
+    period_.sample_index = row;
+    period_.brake_time_ns -= shifted_ * codec_.feedback_cycle_ns();
     samples_of_period_ = 1;
-  } else if (place == samples_of_period_ &&
-             sample.sample_index / codec_.samples_per_period == period_.sample_index) {
+  } else if (place == samples_of_period_ && row == period_.sample_index) {
     ++samples_of_period_;
     period_.arrival_time_ns = sample.arrival_time_ns;
     period_.torque_Nm += sample.torque_Nm;

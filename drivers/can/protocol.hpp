@@ -70,6 +70,9 @@ class StationProtocol {
   ///
   /// Of a brake that samples several times in a period, one sample comes for each period, once all of it are
   /// there: the readings of the first, and the mean of their torques, which is what acts until the next one.
+  /// Periods begin where commands take effect, as soon as changes of the torque show it: within one of them
+  /// the torque then is constant, as the model has it. Where they begin moves by whole samples, and
+  /// `brake_time_ns` counts as if it never had.
   CLAMPD_REALTIME std::optional<BrakeFeedback> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
 
   CLAMPD_REALTIME const ProtocolCounts& counts() const noexcept { return counts_; }
@@ -77,6 +80,7 @@ class StationProtocol {
   CLAMPD_REALTIME double arrival_jitter_ns() const noexcept { return arrivals_.jitter_ns(); }
 
  private:
+  void follow_commands(const BrakeFeedback& sample) noexcept;
   std::optional<BrakeFeedback> of_period(const BrakeFeedback& sample) noexcept;
   bool plausible(std::size_t index, const Frame& frame) const noexcept;
   std::optional<BrakeFeedback> complete(std::int64_t arrival_ns) noexcept;
@@ -102,6 +106,10 @@ class StationProtocol {
   std::int64_t brake_time_ns_ = 0;
   BrakeFeedback period_;       ///< the first sample of the present period, its torque the sum of all so far
   int samples_of_period_ = 0;  ///< that have come, one after the other
+  std::array<double, kFramesPerPeriod.back()> changes_Nm2_{};  ///< of the torque, by place in the period
+  double last_torque_Nm_ = 0.0;
+  std::int64_t last_sample_ = -1;
+  std::int64_t shifted_ = 0;  ///< samples by which periods begin later than they did
 };
 
 /// What a simulated brake may do wrong on the wire, on purpose. Where its frames carry no counter,

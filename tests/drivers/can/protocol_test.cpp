@@ -2,9 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <limits>
 #include <optional>
+#include <random>
 #include <vector>
 
 #include "clampd/base/clock.hpp"
@@ -86,6 +89,43 @@ TEST_F(FasterBrake, APeriodHasTheFirstReadingsAndTheMeanTorque) {
     EXPECT_EQ(whole->brake_time_ns, 700'000'000 + period * kPeriod_ns + codec_.feedback_cycle_ns());
     EXPECT_EQ(whole->brake_fault, period == 7) << "said by any of them";
   }
+  EXPECT_EQ(station_->counts().lost_samples, 0U);
+}
+
+/// The torque changes with each third sample of what are periods at first.
+TEST_F(FasterBrake, PeriodsBeginWhereCommandsTakeEffect) {
+  std::mt19937_64 random(6);
+  std::normal_distribution<double> torque_Nm(0.0, 0.3), noise_Nm(0.0, 0.01);
+  BrakeFeedback reading;
+  std::int64_t index = -1, time_ns = 0;
+  int uneven = 0, rows = 0;
+  double acting_Nm = 0.0;
+  for (int k = 0; k < 4000; ++k) {
+    if (k % 4 == 2) acting_Nm = std::clamp(torque_Nm(random), -3.0, 3.0);
+    reading.torque_Nm = acting_Nm + noise_Nm(random);
+    reading.force_N = 10.0 * (k % 4);
+    reading.brake_time_ns = 700'000'000 + k * codec_.feedback_cycle_ns();
+    std::array<Frame, kMaxFeedbackFrames> frames;
+    const std::size_t count = brake_->feedback(reading, frames);
+    std::optional<BrakeFeedback> whole;
+    for (std::size_t i = 0; i < count; ++i)
+      if (const auto feedback = station_->accept(frames[i], reading.brake_time_ns)) whole = feedback;
+    if (!whole) continue;
+    ++rows;
+    EXPECT_EQ(whole->sample_index, index + 1);
+    if (index >= 0) {
+      EXPECT_EQ(whole->brake_time_ns, time_ns + kPeriod_ns);
+    }
+    index = whole->sample_index;
+    time_ns = whole->brake_time_ns;
+    uneven += std::abs(whole->force_N - 20.0) > 1.0 ? 1 : 0;
+    if (k > 400) {
+      EXPECT_NEAR(whole->torque_Nm, acting_Nm, 0.03) << k;
+    }
+  }
+  EXPECT_GT(rows, 990);
+  EXPECT_LT(uneven, 20);
+  EXPECT_GT(uneven, 0);
   EXPECT_EQ(station_->counts().lost_samples, 0U);
 }
 
