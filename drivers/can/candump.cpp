@@ -1,9 +1,12 @@
 #include "drivers/can/candump.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
 #include <iterator>
+#include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -40,7 +43,7 @@ Result<std::string> format_candump(const CheckRecord& record, const can::Protoco
   can::StationProtocol station(codec);
   can::BrakeProtocol brake(codec);
   std::array<can::Frame, can::kMaxFeedbackFrames> frames{};
-  std::string log;
+  std::vector<std::pair<std::int64_t, can::Frame>> sent;
   std::int64_t offset_ns = kPause_ns;
   const std::int64_t started_ns = parse_utc(record.started).value_or(0);
   for (const RunRecord& recorded : record.runs) {
@@ -57,16 +60,25 @@ Result<std::string> format_candump(const CheckRecord& record, const can::Protoco
       if (!run.position_rad.empty()) reading.position_rad = run.position_rad[k];
       reading.drive_enabled = true;
       const std::int64_t stamp_ns = started_ns + reading.brake_time_ns;
-      append(log, stamp_ns - kPeriod_ns / 2, interface, station.command({run.torque_Nm[k], true}));
-      const std::size_t count = brake.feedback(reading, frames);
-      for (std::size_t i = 0; i < count; ++i) append(log, stamp_ns, interface, frames[i]);
+      for (int i = 0; i < codec.commands_per_period; ++i)
+        sent.emplace_back(stamp_ns - kPeriod_ns / 2 + i * codec.command_cycle_ns(),
+                          station.command({run.torque_Nm[k], true}));
+      for (int i = 0; i < codec.samples_per_period; ++i) {
+        const std::size_t count = brake.feedback(reading, frames);
+        for (std::size_t frame = 0; frame < count; ++frame)
+          sent.emplace_back(stamp_ns + i * codec.feedback_cycle_ns(), frames[frame]);
+        reading.brake_time_ns += codec.feedback_cycle_ns();
+      }
     }
-    for (int k = 1; k < kPause_periods; ++k) {
+    for (int k = codec.commands_per_period; k < kPause_periods * codec.commands_per_period; ++k)
       (void)station.command({});
+    for (int k = codec.samples_per_period; k < kPause_periods * codec.samples_per_period; ++k)
       brake.feedback({}, frames);
-    }
     if (run.size() > 0) offset_ns += std::llround((run.time_s.back() - run.time_s[0]) * 1e9) + kPause_ns;
   }
+  std::stable_sort(sent.begin(), sent.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  std::string log;
+  for (const auto& [stamp_ns, frame] : sent) append(log, stamp_ns, interface, frame);
   return log;
 }
 

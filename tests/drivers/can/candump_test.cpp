@@ -41,9 +41,12 @@ LoggedFrame parse_line(const std::string& line) {
   return logged;
 }
 
-TEST(Candump, TheStationWouldRecordTheSameRunsFromIt) {
+class CandumpCycles : public ::testing::TestWithParam<int> {};
+
+TEST_P(CandumpCycles, TheStationWouldRecordTheSameRunsFromIt) {
   const CheckRecord record = bench::check(bench::plant(1), 2);
-  const can::ProtocolCodec codec = bench::prepared().codec;
+  can::ProtocolCodec codec = bench::prepared().codec;
+  codec.samples_per_period = codec.commands_per_period = GetParam();
   const auto log = format_candump(record, codec, "can3");
   ASSERT_TRUE(log) << log.error().message;
 
@@ -66,20 +69,23 @@ TEST(Candump, TheStationWouldRecordTheSameRunsFromIt) {
   ASSERT_EQ(record.runs.size(), 2u);
   const std::size_t rows = record.runs[0].run.size();
   ASSERT_EQ(samples.size(), rows + record.runs[1].run.size());
-  ASSERT_EQ(commands_Nm.size(), samples.size());
+  const auto repeats = static_cast<std::size_t>(GetParam());
+  ASSERT_EQ(commands_Nm.size(), repeats * samples.size());
   for (std::size_t k = 0; k < samples.size(); ++k) {
     const clampd::Run& run = record.runs[k < rows ? 0 : 1].run;
     const std::size_t row = k < rows ? k : k - rows;
     EXPECT_NEAR(samples[k].force_N, run.force_N[row], 1.0);
     EXPECT_NEAR(samples[k].velocity_rad_s, run.velocity_rad_s[row], 0.02);
     EXPECT_NEAR(samples[k].torque_Nm, run.torque_Nm[row], 1e-3);
-    EXPECT_NEAR(commands_Nm[k], run.torque_Nm[row], 1e-3);
+    EXPECT_NEAR(commands_Nm[repeats * k + repeats - 1], run.torque_Nm[row], 1e-3);
     if (row > 0) {
       EXPECT_NEAR(static_cast<double>(samples[k].brake_time_ns - samples[k - 1].brake_time_ns) * 1e-9,
                   run.time_s[row] - run.time_s[row - 1], 2e-6);
     }
   }
 }
+
+INSTANTIATE_TEST_SUITE_P(PerPeriod, CandumpCycles, ::testing::ValuesIn(can::kFramesPerPeriod));
 
 TEST(Candump, NeedsRawRuns) {
   const can::ProtocolCodec codec = bench::prepared().codec;
