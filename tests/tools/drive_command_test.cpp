@@ -199,6 +199,8 @@ TEST_F(DriveCommands, SimulateSaysWhatOfABrakeAndADriveDoesNotGoTogether) {
       {"simulate --torque a.csv --out d", "--parameters"},
       {"simulate --manoeuvre optimal --torque a.csv --out d", "give one of them"},
       {"simulate --parameters model.toml --torque a.csv --seed 1 --out d", "--seed"},
+      {"simulate --parameters model.toml --motion a.csv --position 1 --out d",
+       "--position requires --torque"},
       {"simulate --parameters model.toml --torque a.csv --out d", "[fitted]"},
   };
   for (const auto& [command, word] : wrong) {

@@ -115,18 +115,27 @@ Result<void> write_files(const std::vector<SimulatedFile>& files) {
   return {};
 }
 
-Result<void> write_runs(const std::vector<Run>& runs, const SimulateOptions& options) {
+/// A folder that this made goes again where a file cannot be written. None of the files may be one of those
+/// that were `read`.
+Result<void> write_into_folder(const std::string& folder, const std::vector<SimulatedFile>& files,
+                               const std::vector<std::string>& read) {
   std::error_code failed;
-  const bool existed = fs::exists(options.folder, failed);
-  if (Result<void> created = create_folder(options.folder); !created) return created;
+  const bool existed = fs::exists(folder, failed);
+  if (Result<void> created = create_folder(folder); !created) return created;
+  std::vector<cli::OutputOption> outputs;
+  for (const SimulatedFile& file : files) outputs.push_back({"--out", file.path});
+  const Result<void> written = cli::check_outputs(outputs, read).and_then([&] { return write_files(files); });
+  if (!written && !existed) fs::remove(folder, failed);
+  return written;
+}
+
+Result<void> write_runs(const std::vector<Run>& runs, const SimulateOptions& options) {
   std::vector<SimulatedFile> files;
   for (std::size_t i = 0; i < runs.size(); ++i) {
     const fs::path file = fs::path(options.folder) / fmt::format("{}-{:03}.csv", options.manoeuvre, i + 1);
     files.push_back({file.string(), format_run(runs[i])});
   }
-  const Result<void> written = write_files(files);
-  if (!written && !existed) fs::remove(options.folder, failed);
-  return written;
+  return write_into_folder(options.folder, files, {});
 }
 
 Result<SimulatedFile> simulate_drive_file(const std::string& file, bool motion, const FittedDrive& drive,
@@ -159,18 +168,13 @@ int simulate_drive(const SimulateOptions& options) {
   std::vector<std::string> read{options.plant};
   for (const auto& names : {options.torques, options.motions})
     read.insert(read.end(), names.begin(), names.end());
-  std::vector<cli::OutputOption> outputs;
-  for (const SimulatedFile& file : files) {
-    if (std::ranges::find(outputs, file.path, &cli::OutputOption::path) != outputs.end())
+  for (auto file = files.begin(); file != files.end(); ++file)
+    if (std::find_if(files.begin(), file,
+                     [&](const SimulatedFile& other) { return other.path == file->path; }) != file)
       return cli::refuse(
-          {fmt::format("two of the runs would become {}; simulate them into different folders", file.path)});
-    outputs.push_back({"--out", file.path});
-  }
-  if (const Result<void> created = create_folder(options.folder); !created)
-    return cli::refuse(created.error());
-  if (const Result<void> checked = cli::check_outputs(outputs, read); !checked)
-    return cli::refuse(checked.error());
-  if (const Result<void> written = write_files(files); !written) return cli::refuse(written.error());
+          {fmt::format("two of the runs would become {}; simulate them into different folders", file->path)});
+  if (const Result<void> written = write_into_folder(options.folder, files, read); !written)
+    return cli::refuse(written.error());
   fmt::print("{} run{} in {}\n", files.size(), files.size() == 1 ? "" : "s", options.folder);
   return cli::kSuccess;
 }
@@ -239,11 +243,14 @@ void add_simulate_command(CLI::App& app, int& exit_code) {
                    "the simulated brake, or a model that `clampctl diagnose --save` "
                    "wrote of a brake or of a drive (default: a nominal brake, with noise)")
       ->type_name("PLANT.toml");
+  CLI::Option* torque =
+      command
+          ->add_option("--torque", options->torques,
+                       "of a drive: run files whose torque drives it, from rest; its motion is simulated")
+          ->type_name("RUN.csv");
   command
-      ->add_option("--torque", options->torques,
-                   "of a drive: run files whose torque drives it, from rest; its motion is simulated")
-      ->type_name("RUN.csv");
-  command->add_option("--position", options->position, "of a drive: where it begins (default: 0)");
+      ->add_option("--position", options->position, "of a drive: where it begins under --torque (default: 0)")
+      ->needs(torque);
   command
       ->add_option("--motion", options->motions,
                    "of a drive: run files whose motion it makes; the torque for it is computed")

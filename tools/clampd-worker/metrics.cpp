@@ -23,8 +23,11 @@ Result<void> MetricsServer::start(const std::string& where) {
   auto server = http::Server::start(
       std::move(settings), [this](const http::Request& request) -> std::variant<http::Response, http::Job> {
         if (request.path != "/metrics") return http::refusal(404, "there is /metrics only");
-        if (request.method != "GET" && request.method != "HEAD")
-          return http::refusal(405, "there is GET only");
+        if (request.method != "GET" && request.method != "HEAD") {
+          http::Response refused = http::refusal(405, "there is GET only");
+          refused.headers.emplace_back("Allow", "GET, HEAD");
+          return refused;
+        }
         return http::Response{200, text(), http::Metrics::kType};
       });
   if (!server) return failure(fmt::format("--metrics {}: {}", where, server.error().message));
