@@ -10,11 +10,15 @@ constexpr std::int64_t kAsleepAfter_ns = kNanosecondsPerSecond;
 }  // namespace
 
 std::size_t CanBrake::receive(std::span<BrakeFeedback> out, std::int64_t now_ns) noexcept {
+  // What piled up while the station started tells nothing of the brake now, and when its frames came then was
+  // disturbed by that start.
+  if (!begin_ns_) begin_ns_ = now_ns - kPeriod_ns;
   // One frame at a time: what does not fit into `out` waits in the bus rather than here.
   std::size_t filled = 0;
   TimedFrame received;
   for (int frames = 0; frames < kFramesPerTick && filled < out.size(); ++frames) {
     if (bus_.receive({&received, 1}, now_ns) == 0) break;
+    if (received.arrival_ns < *begin_ns_) continue;
     if (const auto feedback = protocol_.accept(received.frame, received.arrival_ns)) {
       out[filled++] = *feedback;
       awake_ns_ = now_ns;

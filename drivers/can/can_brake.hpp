@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <optional>
 
 #include "clampd/ports/brake_port.hpp"
 #include "drivers/can/bus.hpp"
@@ -29,8 +30,9 @@ class CanBrake final : public BrakePort {
   FrameBus& bus_;
   StationProtocol protocol_;
   FrameSequence startup_, shutdown_;
-  TorqueCommand last_;         ///< sent
-  std::int64_t awake_ns_ = 0;  ///< when the latest sample came or the latest start-up frame went
+  TorqueCommand last_;                    ///< sent
+  std::optional<std::int64_t> begin_ns_;  ///< frames that came before are not looked at
+  std::int64_t awake_ns_ = 0;             ///< when the latest sample came or the latest start-up frame went
 };
 
 }  // namespace clampd::can

@@ -67,9 +67,13 @@ class Screen : public ::testing::Test {
 
   void picture(const std::string& name) { browser_->save_picture(pictures_folder() + name + ".png"); }
 
-  bool shows(const std::string& word, int seconds = 60) {
-    return browser_->becomes(
-        fmt::format("document.getElementById('verdict-word').textContent === '{}'", word), seconds);
+  ::testing::AssertionResult shows(const std::string& word, int seconds = 60) {
+    if (browser_->becomes(fmt::format("document.getElementById('verdict-word').textContent === '{}'", word),
+                          seconds))
+      return ::testing::AssertionSuccess();
+    return ::testing::AssertionFailure()
+           << "the page says " << browser_->text("#verdict") << "; state " << browser_->text("#state")
+           << "; fault " << browser_->text("#fault") << "; beside it " << browser_->text("#aside");
   }
 
   /// The notices come with the daemon's next look at its records, some time after the verdict.

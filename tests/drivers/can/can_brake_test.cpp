@@ -200,16 +200,28 @@ TEST_F(Bench, AFloodedBusDoesNotHoldTheTick) {
   EXPECT_EQ(port_.health().frames_received - before, static_cast<std::uint64_t>(kFramesPerTick));
 }
 
+TEST_F(Bench, WhatPiledUpBeforeTheFirstTickIsNotLookedAt) {
+  for (int i = 0; i < 20; ++i) {
+    node_.tick(now_ns_);
+    now_ns_ += kPeriod_ns;
+  }
+  std::array<BrakeFeedback, 8> samples;
+  EXPECT_EQ(port_.receive(samples, now_ns_), 1U);
+  EXPECT_EQ(samples[0].sample_index, 0);
+  EXPECT_EQ(samples[0].brake_time_ns, 19 * kPeriod_ns);
+}
+
 TEST_F(Bench, ASmallBufferLeavesTheRestForTheNextCall) {
+  step({0.0, false});
   for (int i = 0; i < 3; ++i) {
     node_.tick(now_ns_);
     now_ns_ += kPeriod_ns;
   }
   std::array<BrakeFeedback, 2> samples;
   EXPECT_EQ(port_.receive(samples, now_ns_), 2U);
-  EXPECT_EQ(samples[1].sample_index, 1);
+  EXPECT_EQ(samples[1].sample_index, 2);
   EXPECT_EQ(port_.receive(samples, now_ns_), 1U);
-  EXPECT_EQ(samples[0].sample_index, 2);
+  EXPECT_EQ(samples[0].sample_index, 3);
 }
 
 }  // namespace
