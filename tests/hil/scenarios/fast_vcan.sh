@@ -30,6 +30,7 @@ ip link set vcan0 mtu 72
 expect "vcan0 is up for CAN FD" bring_up vcan0
 station_interface=vcan0
 brake_interface=vcan0
+samples_per_s=2000
 start_brake /tmp/trace.csv
 start_station
 wait_for_idle
