@@ -142,7 +142,8 @@ class MultiplexorChoice {
     }
   }
 
-  Result<void> choose(FrameLayout& layout, const std::string& where) const {
+  Result<void> choose(FrameLayout& layout, const std::string& file) const {
+    const std::string where = fmt::format("message {} of {}", message_.name, file);
     if (wanted_.size() > kMaxSelectors)
       return failure(fmt::format("{}: {} are behind {} multiplexors; the station follows {}", where, names_,
                                  wanted_.size(), kMaxSelectors));
@@ -224,9 +225,7 @@ class CodecBuilder {
 
   Result<void> choose_multiplexors() {
     const auto choose = [&](FrameLayout& layout) {
-      const MultiplexorChoice& choice = choices_.at(layout.id);
-      return choice.choose(
-          layout, fmt::format("message {} of {}", database_.find_message(layout.id)->name, database_.file));
+      return choices_.at(layout.id).choose(layout, database_.file);
     };
     Result<void> outcome = choose(codec_.command);
     for (std::size_t i = 0; outcome && i < codec_.feedback_frames; ++i) outcome = choose(codec_.feedback[i]);

@@ -282,7 +282,8 @@ LogFinding check_log(const FrameLog& log, const Database& database, const Protoc
   LogFinding finding;
   std::vector<Watched> watched = watch(database, codec);
   finding.others = identifiers(log, database);
-  for (const std::uint32_t id : codec.command_ids()) finding.others.erase(id);
+  for (const auto& ids : {codec.command_ids(), codec.feedback_ids()})
+    for (const std::uint32_t id : ids) finding.others.erase(id);
   for (const LoggedFrame& logged : log.frames)
     for (Watched& frame : watched)
       if (frame.layout->is_meant_by(logged.frame)) take(frame, logged);
@@ -297,7 +298,6 @@ LogFinding check_log(const FrameLog& log, const Database& database, const Protoc
     if (message != nullptr && 2 * f.wrong_checksum > f.seen)
       f.other_checksums = fitting_checksums(log, *message, *frame.layout, mapping);
     judge_frame(f, *frame.layout, codec.feedback_cycle_ms(), finding);
-    finding.others.erase(f.id);
     finding.frames.push_back(std::move(f));
   }
   const bool all_seen = std::all_of(finding.frames.begin(), finding.frames.end(),

@@ -15,4 +15,19 @@ inline ProtocolCodec brake_codec() {
   return codec.value_or(ProtocolCodec{});
 }
 
+/// Of a brake with the messages Command and Feedback, which hold all that a check needs and no flags.
+inline ProtocolMapping command_and_feedback_mapping() {
+  ProtocolMapping names;
+  names.torque_command = "Command.Torque";
+  names.enable = "Command.Enable";
+  names.force = "Feedback.Force";
+  names.velocity = "Feedback.Velocity";
+  names.torque = "Feedback.Torque";
+  names.position = "Feedback.Position";
+  names.sample_clock = "Feedback.Clock";
+  names.enabled = names.watchdog = names.fault = "";
+  names.counter = "Counter";
+  return names;
+}
+
 }  // namespace clampd::can

@@ -11,6 +11,7 @@
 #include <string>
 
 #include "clampd/base/clock.hpp"
+#include "drivers/can/brake_codec.hpp"
 #include "drivers/can/protocol.hpp"
 
 namespace clampd::can {
@@ -245,24 +246,10 @@ SG_MUL_VAL_ 384 Temperature Page 3-3;
 SG_MUL_VAL_ 384 Other Page 3-3;
 )";
 
-ProtocolMapping multiplexed_mapping() {
-  ProtocolMapping names;
-  names.torque_command = "Command.Torque";
-  names.enable = "Command.Enable";
-  names.force = "Feedback.Force";
-  names.velocity = "Feedback.Velocity";
-  names.torque = "Feedback.Torque";
-  names.position = "Feedback.Position";
-  names.sample_clock = "Feedback.Clock";
-  names.enabled = names.watchdog = names.fault = "";
-  names.counter = "Counter";
-  return names;
-}
-
 TEST(Codec, MultiplexedSignalsAreReadWhereTheyAre) {
   const auto database = parse_dbc(kMultiplexedFrames, "brake.dbc");
   ASSERT_TRUE(database) << database.error().message;
-  const auto codec = ProtocolCodec::build(*database, multiplexed_mapping());
+  const auto codec = ProtocolCodec::build(*database, command_and_feedback_mapping());
   ASSERT_TRUE(codec) << codec.error().message;
   StationProtocol station(*codec);
   BrakeProtocol brake(*codec);
@@ -303,13 +290,13 @@ TEST(Codec, MultiplexedSignalsAreReadWhereTheyAre) {
 TEST(Codec, RefusesMultiplexedSignalsThatNeverComeTogether) {
   const auto database = parse_dbc(kMultiplexedFrames, "brake.dbc");
   ASSERT_TRUE(database);
-  ProtocolMapping names = multiplexed_mapping();
+  ProtocolMapping names = command_and_feedback_mapping();
   names.force = "Feedback.Other";
   EXPECT_THAT(
       build_error(*database, names),
       HasSubstr("message Feedback of brake.dbc: no frame holds all of Other, Velocity, Torque, Position, "
                 "Clock, as its multiplexor Page has it"));
-  names = multiplexed_mapping();
+  names = command_and_feedback_mapping();
   names.enabled = "Feedback.Half";
   EXPECT_THAT(build_error(*database, names), HasSubstr("Half in brake.dbc is a multiplexor"));
   const Database good = brake_database();

@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "clampd/base/clock.hpp"
+#include "drivers/can/brake_codec.hpp"
 #include "drivers/can/brake_node.hpp"
 #include "drivers/can/can_brake.hpp"
 #include "drivers/can/embedded_bus.hpp"
@@ -44,15 +45,8 @@ BO_ 512 ModeRequest: 4 X
 )";
 
 ProtocolMapping sequenced_mapping() {
-  ProtocolMapping names;
-  names.torque_command = "Command.Torque";
-  names.enable = "Command.Enable";
-  names.force = "Feedback.Force";
-  names.velocity = "Feedback.Velocity";
-  names.torque = "Feedback.Torque";
-  names.position = names.enabled = names.watchdog = names.fault = "";
-  names.sample_clock = "Feedback.Clock";
-  names.counter = "Counter";
+  ProtocolMapping names = command_and_feedback_mapping();
+  names.position = "";
   names.startup = {{"Network", {{"Order", 1.0}, {"Node", 5.0}}, 50.0},
                    {"ModeRequest", {{"Mode", 2.0}}, 20.0},
                    {"ModeRequest", {{"Mode", 3.0}, {"Limit", -12.5}}, 0.0}};

@@ -13,6 +13,7 @@
 
 #include "bench/embedded_check.hpp"
 #include "clampd/base/clock.hpp"
+#include "drivers/can/brake_codec.hpp"
 #include "drivers/can/candump.hpp"
 #include "drivers/can/log_check.hpp"
 
@@ -266,16 +267,7 @@ TEST(LogCheckWithoutClock, WithoutACounterTheFirstSampleAfterAGapIsLost) {
 
 TEST(LogCheckWithoutClock, WhatWakesTheBrakeIsNoStrangersFrame) {
   const Database database = read_dbc(CLAMPD_SOURCE_DIR "/tests/hil/guest/brake_fd.dbc").value();
-  ProtocolMapping mapping;
-  mapping.torque_command = "Command.Torque";
-  mapping.enable = "Command.Enable";
-  mapping.force = "Feedback.Force";
-  mapping.velocity = "Feedback.Velocity";
-  mapping.torque = "Feedback.Torque";
-  mapping.position = "Feedback.Position";
-  mapping.sample_clock = "Feedback.Clock";
-  mapping.enabled = mapping.watchdog = mapping.fault = "";
-  mapping.counter = "Counter";
+  ProtocolMapping mapping = command_and_feedback_mapping();
   mapping.protection.checksum = Checksum::E2e7;
   mapping.startup = {{"ModeRequest", {{"Mode", 3.0}}, 0.0}};
   const ProtocolCodec codec = ProtocolCodec::build(database, mapping).value();
