@@ -106,6 +106,19 @@ expect_pass() {
   fail "$1: exit code $code, $(json_get "/tmp/$1.json" /verdict): $(json_get "/tmp/$1.json" /reason)"
 }
 
+# The brake speaks what the station's $can_settings describe, of the frames in $dbc.
+brake_speaks_as_configured() {
+  printf '[can]\ndbc = "%s"\n%s\n' "${dbc:-/bench/configs/brake.dbc}" "$can_settings" >/tmp/frames.toml
+  brake_frames="--station /tmp/frames.toml"
+}
+
+# expect_on_time CHECK
+expect_on_time() {
+  echo "timing: $(json_get "/tmp/$1.json" /timing)"
+  expect "no period skipped" [ "$(json_get "/tmp/$1.json" /timing/skipped)" = 0 ]
+  expect "no sample lost" [ "$(json_get "/tmp/$1.json" /timing/lost_samples)" = 0 ]
+}
+
 # truth PARAMETER: of the brake that was started last.
 truth() { awk -v name="$1" '$1 == name { print $3 }' /tmp/plant.toml; }
 
@@ -145,10 +158,7 @@ full_check() {
   cat /tmp/full.out
   expect_pass full
   echo "ok: verdict PASS, exit code 0"
-  timing=$(json_get /tmp/full.json /timing)
-  echo "timing: $timing"
-  expect "no period skipped" [ "$(json_get /tmp/full.json /timing/skipped)" = 0 ]
-  expect "no sample lost" [ "$(json_get /tmp/full.json /timing/lost_samples)" = 0 ]
+  expect_on_time full
   at_most "wake-up lateness in us, against 1.5 times cyclictest's $reference_us" \
     "$(json_get /tmp/full.json /timing/lateness_us/max)" "$(awk "BEGIN { print 1.5 * $reference_us }")"
   at_most "bench time in s" "$(json_get /tmp/full.json /duration_s)" 30

@@ -82,6 +82,24 @@ measure_approach() {
   echo "ok: a healthy check passes; clamped $approach_s s after the command"
 }
 
+# measure_approach_and_check_frames FILTER: and `can check` understands the frames that pass in the meantime.
+measure_approach_and_check_frames() {
+  candump -L "vcan0,$1" >/tmp/frames.log &
+  log_pid=$!
+  measure_approach
+  kill $log_pid
+  clampctl --config /tmp/station.toml can check /tmp/frames.log >/tmp/can_check 2>&1 || fail "can check: $(cat /tmp/can_check)"
+  expect "can check understands the brake" grep -q "understands this brake" /tmp/can_check
+}
+
+# The brake dies and is started anew; it stands still and goes on.
+plant_lost() {
+  fault "plant killed" 'cause kill 9 $brake_pid' 'start_brake /tmp/trace_2.csv'
+  brake_resumes=1
+  fault "plant stopped" 'cause kill 19 $brake_pid' 'cause kill 18 $brake_pid'
+  brake_resumes=0
+}
+
 begin_fault() {
   name=$1
   id=$(echo "$name" | tr ' ' '_')

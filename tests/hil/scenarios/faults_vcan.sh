@@ -11,10 +11,7 @@ start_station
 wait_for_idle
 measure_approach
 
-fault "plant killed" 'cause kill 9 $brake_pid' 'start_brake /tmp/trace_2.csv'
-brake_resumes=1
-fault "plant stopped" 'cause kill 19 $brake_pid' 'cause kill 18 $brake_pid'
-brake_resumes=0
+plant_lost
 fault "interface down" 'cause link vcan0 down' 'bring_up vcan0' $silent_station_ms
 fault "bus-off frame" 'cause frame vcan0 20000040#0000000000000000' true
 scripted_fault corrupt-crc

@@ -5,21 +5,7 @@
 . ./faults.sh
 dbc=/bench/brake_fd.dbc
 can_settings='data_bitrate = 4000000
-[can.protection]
-checksum = "e2e-7"
-[can.mapping]
-torque_command = "Command.Torque"
-enable = "Command.Enable"
-force = "Feedback.Force"
-velocity = "Feedback.Velocity"
-torque = "Feedback.Torque"
-position = "Feedback.Position"
-sample_clock = "Feedback.Clock"
-enabled = ""
-watchdog = "Feedback.Watchdog"
-fault = "Feedback.Fault"
-counter = "Counter"
-crc = "Crc"
+'"$(cat brake_fd.toml)"'
 [[can.startup]]
 message = "ModeRequest"
 signals = { Mode = 1, Key = 165 }
@@ -30,8 +16,7 @@ signals = { Mode = 3 }
 [[can.shutdown]]
 message = "ModeRequest"
 signals = { Mode = 0 }'
-printf '[can]\ndbc = "%s"\n%s\n' $dbc "$can_settings" >/tmp/frames.toml
-brake_frames="--station /tmp/frames.toml"
+brake_speaks_as_configured
 
 use_vcan
 ip link set vcan0 down
@@ -48,17 +33,10 @@ expect "vcan0 is up for CAN FD" bring_up vcan0
 start_brake /tmp/trace.csv
 start_station
 wait_for_idle
-candump -L vcan0,180:7FF >/tmp/frames.log &
-log_pid=$!
-measure_approach
-kill $log_pid
-clampctl --config /tmp/station.toml can check /tmp/frames.log >/tmp/can_check 2>&1 || fail "can check: $(cat /tmp/can_check)"
-expect "can check understands the brake" grep -q "understands this brake" /tmp/can_check
+measure_approach_and_check_frames 180:7FF
 check full 20
 expect_pass full
-echo "timing: $(json_get /tmp/full.json /timing)"
-expect "no period skipped" [ "$(json_get /tmp/full.json /timing/skipped)" = 0 ]
-expect "no sample lost" [ "$(json_get /tmp/full.json /timing/lost_samples)" = 0 ]
+expect_on_time full
 fault "plant killed" 'cause kill 9 $brake_pid' 'start_brake /tmp/trace_2.csv'
 brake_is_silent() { wait_until 5 "the brake sleeps" no_frames; }
 no_frames() { [ -z "$(timeout 0.2 candump -n 1 vcan0,180:7FF)" ]; }
