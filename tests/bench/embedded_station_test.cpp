@@ -340,7 +340,7 @@ TEST(EmbeddedStation, FramesThatAreSentAgainAndAgainEndACheck) {
     while (core.status().state.load() != StationState::Idle) advance(can::WireFault::None);
     ASSERT_TRUE(conductor.begin(request(1), {now_ns, now_ns}));
     // A check of one repeat drives the brake for some 2.4 s.
-    const std::int64_t frozen_ns = now_ns + i * 40'000'000;
+    const std::int64_t frozen_ns = now_ns + 40 * i * kPeriod_ns;
     std::optional<CheckRecord> record;
     double torque_Nm = 0.0;
     while (!record) {
