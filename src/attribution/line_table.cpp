@@ -13,6 +13,8 @@
 
 #include <fmt/format.h>
 
+#include "clampd/base/assert.hpp"
+
 namespace clampd::attribution {
 namespace {
 
@@ -22,23 +24,6 @@ constexpr int kFewestPeriods = 4;
 constexpr int kMostPeriods = 24;
 /// A period of a station shall have so many checks on average.
 constexpr std::size_t kChecksInCell = 5;
-
-/// Names as numbers, in the order of their appearance.
-class Names {
- public:
-  std::int32_t number(std::string_view name) {
-    return numbers_.try_emplace(std::string(name), static_cast<std::int32_t>(numbers_.size())).first->second;
-  }
-  std::vector<std::string> all() const {
-    std::vector<std::string> names(numbers_.size());
-    for (const auto& [name, number] : numbers_) names[static_cast<std::size_t>(number)] = name;
-    return names;
-  }
-  int size() const { return static_cast<int>(numbers_.size()); }
-
- private:
-  std::unordered_map<std::string, std::int32_t> numbers_;
-};
 
 bool read_number(std::string_view text, int& value) {
   const auto [rest, error] = std::from_chars(text.data(), text.data() + text.size(), value);
@@ -145,23 +130,7 @@ class TableOfFiles {
     return {};
   }
 
-  Result<LineTable> finish(std::size_t least) {
-    leave_out_simulated();
-    if (table_.checks() < least)
-      return failure(fmt::format(
-          "{} of {} rows are valid checks: too few ({} neither PASS nor FAIL, {} void, "
-          "{} incomplete)",
-          table_.checks(), table_.rows, table_.invalid, table_.voided, table_.incomplete));
-    Layout& layout = table_.layout;
-    table_.brakes = keep_used(layout.brake, brakes_.all(), layout.brakes);
-    table_.part_number = part_number_.value_or("");
-    table_.stations = keep_used(layout.station, stations_.all(), layout.stations);
-    table_.fixtures = keep_used(layout.fixture, fixtures_.all(), layout.fixtures);
-    table_.batches = keep_used(layout.batch, batches_.all(), layout.batches);
-    if (table_.checks() > 0) divide_time();
-    table_.started_s = std::move(started_);
-    return std::move(table_);
-  }
+  Result<LineTable> finish(std::size_t least) { return builder_.finish(part_number_.value_or(""), least); }
 
  private:
   Result<void> find_columns(const std::string& file, Columns& columns) {
@@ -196,22 +165,25 @@ class TableOfFiles {
       if (deviation == kAbsent) continue;
       const std::string name(cell.substr(0, bracket)),
           unit(cell.substr(bracket + 2, cell.size() - bracket - 3));
-      auto known = std::find_if(table_.parameters.begin(), table_.parameters.end(),
-                                [&](const auto& p) { return p.name == name; });
-      if (known != table_.parameters.end() && known->unit != unit)
+      const std::vector<ParameterReadings>& parameters = builder_.table().parameters;
+      const auto known = std::find_if(parameters.begin(), parameters.end(),
+                                      [&](const auto& p) { return p.name == name; });
+      if (known != parameters.end() && known->unit != unit)
         return failure(
             fmt::format("{}:1: {} is in {} here and in {} in another file", file, name, unit, known->unit));
-      if (known == table_.parameters.end() && files_ > 0)
+      if (known == parameters.end() && files_ > 0)
         return failure(fmt::format("{}:1: has the parameter {}, which other files do not have", file, name));
-      if (known == table_.parameters.end()) known = table_.parameters.insert(known, {name, unit, {}, {}});
-      columns.parameters.push_back(
-          {static_cast<std::size_t>(known - table_.parameters.begin()), i, deviation});
+      const std::size_t number = known == parameters.end()
+                                     ? builder_.add_parameter(name, unit)
+                                     : static_cast<std::size_t>(known - parameters.begin());
+      columns.parameters.push_back({number, i, deviation});
     }
-    if (columns.parameters.size() != table_.parameters.size() || columns.parameters.empty())
+    const std::size_t needed = builder_.table().parameters.size();
+    if (columns.parameters.size() != needed || columns.parameters.empty())
       return failure(
           fmt::format("{}:1: has {} parameters with a standard deviation (columns NAME [unit] and NAME sd "
                       "[unit]), {} are needed",
-                      file, columns.parameters.size(), std::max<std::size_t>(1, table_.parameters.size())));
+                      file, columns.parameters.size(), std::max<std::size_t>(1, needed)));
     ++files_;
     return {};
   }
@@ -220,14 +192,13 @@ class TableOfFiles {
     const auto cell = [&](std::size_t column) {
       return column == kAbsent ? std::string_view() : cells_[column];
     };
-    ++table_.rows;
-    if (!cell(columns.voided).empty()) return ++table_.voided, Result<void>{};
+    if (!cell(columns.voided).empty()) return builder_.leave_out(&LineTable::voided), Result<void>{};
     if (cell(columns.verdict) != "PASS" && cell(columns.verdict) != "FAIL")
-      return ++table_.invalid, Result<void>{};
-    double started = 0.0;
+      return builder_.leave_out(&LineTable::invalid), Result<void>{};
     if (cell(columns.serial).empty() || cell(columns.station).empty() || cell(columns.started).empty())
-      return ++table_.incomplete, Result<void>{};
-    if (!read_time(cell(columns.started), started))
+      return builder_.leave_out(&LineTable::incomplete), Result<void>{};
+    LineCheck check;
+    if (!read_time(cell(columns.started), check.started_s))
       return failure(fmt::format("{}:{}: '{}' is no time YYYY-MM-DDTHH:MM:SSZ", place, columns.started + 1,
                                  cell(columns.started)));
     const std::string_view part = cell(columns.part_number);
@@ -238,113 +209,166 @@ class TableOfFiles {
                       "one part number at a time "
                       "(`clampctl results --part-number`)",
                       place, part, *part_number_));
-    values_.clear();
+    readings_.assign(columns.parameters.size(), {});
     for (const Columns::Parameter& parameter : columns.parameters) {
       if (cells_[parameter.value].empty() || cells_[parameter.deviation].empty())
-        return ++table_.incomplete, Result<void>{};
-      double value = 0.0, deviation = 0.0;
+        return builder_.leave_out(&LineTable::incomplete), Result<void>{};
+      auto& [value, deviation] = readings_[parameter.number];
       if (!read_number(cells_[parameter.value], value))
         return failure(
             fmt::format("{}:{}: '{}' is not a number", place, parameter.value + 1, cells_[parameter.value]));
       if (!read_number(cells_[parameter.deviation], deviation) || deviation < 0.0)
         return failure(fmt::format("{}:{}: '{}' is no standard deviation", place, parameter.deviation + 1,
                                    cells_[parameter.deviation]));
-      values_.emplace_back(value, deviation);
     }
-    if (columns.record != kAbsent && !records_
-                                          .insert(std::hash<std::string_view>{}(cell(columns.record)) ^
-                                                  std::hash<std::string_view>{}(cell(columns.station)) * 31U)
-                                          .second)
-      return ++table_.doubled, Result<void>{};
-    add(columns, cell, started);
+    check.record = cell(columns.record);
+    check.serial = cell(columns.serial);
+    check.batch = cell(columns.batch);
+    check.station = cell(columns.station);
+    check.fixture = cell(columns.fixture);
+    check.simulated = cell(columns.simulated) == "1";
+    check.readings = readings_;
+    builder_.add(check);
     return {};
   }
 
-  template <class Cell>
-  void add(const Columns& columns, const Cell& cell, double started) {
-    Layout& layout = table_.layout;
-    const std::string_view station = cell(columns.station), fixture = cell(columns.fixture),
-                           batch = cell(columns.batch);
-    layout.brake.push_back(brakes_.number(cell(columns.serial)));
-    layout.station.push_back(stations_.number(station));
-    layout.fixture.push_back(
-        fixtures_.number(fmt::format("{} / {}", station, fixture.empty() ? "-" : fixture)));
-    layout.batch.push_back(batch.empty() ? -1 : batches_.number(batch));
-    started_.push_back(started);
-    simulated_.push_back(cell(columns.simulated) == "1");
-    for (std::size_t i = 0; i < columns.parameters.size(); ++i) {
-      ParameterReadings& readings = table_.parameters[columns.parameters[i].number];
-      readings.values.push_back(values_[i].first);
-      readings.deviations.push_back(values_[i].second);
-    }
-  }
-
-  /// As the statistics of one station do: simulated brakes count where there are no others.
-  void leave_out_simulated() {
-    const auto count = static_cast<std::size_t>(std::count(simulated_.begin(), simulated_.end(), true));
-    if (count == 0 || count == simulated_.size()) return;
-    table_.simulated = count;
-    const auto keep_real = [&](auto& values) {
-      std::size_t kept = 0;
-      for (std::size_t i = 0; i < values.size(); ++i)
-        if (!simulated_[i]) values[kept++] = values[i];
-      values.resize(kept);
-    };
-    Layout& layout = table_.layout;
-    for (auto* levels : {&layout.brake, &layout.batch, &layout.station, &layout.fixture}) keep_real(*levels);
-    for (ParameterReadings& parameter : table_.parameters) {
-      keep_real(parameter.values);
-      keep_real(parameter.deviations);
-    }
-    keep_real(started_);
-  }
-
-  /// Numbers without gaps, in the order of the old ones; the old number of each.
-  static std::vector<std::int32_t> renumber(std::vector<std::int32_t>& levels, int& count) {
-    std::vector<std::int32_t> old(levels);
-    std::sort(old.begin(), old.end());
-    old.erase(std::unique(old.begin(), old.end()), old.end());
-    if (!old.empty() && old.front() < 0) old.erase(old.begin());
-    for (std::int32_t& level : levels)
-      if (level >= 0)
-        level = static_cast<std::int32_t>(std::lower_bound(old.begin(), old.end(), level) - old.begin());
-    count = static_cast<int>(old.size());
-    return old;
-  }
-
-  static std::vector<std::string> keep_used(std::vector<std::int32_t>& levels,
-                                            const std::vector<std::string>& names, int& count) {
-    std::vector<std::string> used;
-    for (const std::int32_t old : renumber(levels, count))
-      used.push_back(names[static_cast<std::size_t>(old)]);
-    return used;
-  }
-
-  void divide_time() {
-    const auto [first, last] = std::minmax_element(started_.begin(), started_.end());
-    table_.first_s = *first;
-    table_.last_s = *last;
-    Layout& layout = table_.layout;
-    layout.periods = table_.last_s > table_.first_s ? periods_of(started_.size(), layout.stations) : 1;
-    for (const double started : started_) {
-      const double share =
-          layout.periods == 1 ? 0.0 : (started - table_.first_s) / (table_.last_s - table_.first_s);
-      layout.period.push_back(std::min(layout.periods - 1, static_cast<int>(share * layout.periods)));
-    }
-  }
-
-  LineTable table_;
-  Names brakes_, stations_, fixtures_, batches_;
-  std::unordered_set<std::size_t> records_;
+  LineTableBuilder builder_;
   std::optional<std::string> part_number_;  ///< of all checks
-  std::vector<double> started_;
-  std::vector<bool> simulated_;
   std::vector<std::string_view> cells_;
-  std::vector<std::pair<double, double>> values_;
+  std::vector<std::pair<double, double>> readings_;
   int files_ = 0;
 };
 
+/// Numbers without gaps, in the order of the old ones; the old number of each.
+std::vector<std::int32_t> renumber(std::vector<std::int32_t>& levels, int& count) {
+  std::vector<std::int32_t> old(levels);
+  std::sort(old.begin(), old.end());
+  old.erase(std::unique(old.begin(), old.end()), old.end());
+  if (!old.empty() && old.front() < 0) old.erase(old.begin());
+  for (std::int32_t& level : levels)
+    if (level >= 0)
+      level = static_cast<std::int32_t>(std::lower_bound(old.begin(), old.end(), level) - old.begin());
+  count = static_cast<int>(old.size());
+  return old;
+}
+
+std::vector<std::string> keep_used(std::vector<std::int32_t>& levels, const std::vector<std::string>& names,
+                                   int& count) {
+  std::vector<std::string> used;
+  for (const std::int32_t old : renumber(levels, count)) used.push_back(names[static_cast<std::size_t>(old)]);
+  return used;
+}
+
 }  // namespace
+
+/// Names as numbers, in the order of their appearance.
+class LineTableBuilder::Names {
+ public:
+  std::int32_t number(std::string_view name) {
+    return numbers_.try_emplace(std::string(name), static_cast<std::int32_t>(numbers_.size())).first->second;
+  }
+  std::vector<std::string> all() const {
+    std::vector<std::string> names(numbers_.size());
+    for (const auto& [name, number] : numbers_) names[static_cast<std::size_t>(number)] = name;
+    return names;
+  }
+
+ private:
+  std::unordered_map<std::string, std::int32_t> numbers_;
+};
+
+struct LineTableBuilder::Seen {
+  Names brakes, stations, fixtures, batches;
+  std::unordered_set<std::size_t> records;
+  std::vector<bool> simulated;
+};
+
+LineTableBuilder::LineTableBuilder() : seen_(std::make_unique<Seen>()) {}
+LineTableBuilder::~LineTableBuilder() = default;
+
+std::size_t LineTableBuilder::add_parameter(const std::string& name, const std::string& unit) {
+  table_.parameters.push_back({name, unit, {}, {}});
+  return table_.parameters.size() - 1;
+}
+
+void LineTableBuilder::leave_out(std::size_t LineTable::*why) {
+  ++table_.rows;
+  ++(table_.*why);
+}
+
+void LineTableBuilder::add(const LineCheck& check) {
+  CLAMPD_ASSERT(check.readings.size() == table_.parameters.size());
+  ++table_.rows;
+  const std::hash<std::string_view> hash;
+  if (!check.record.empty() && !seen_->records.insert(hash(check.record) ^ hash(check.station) * 31U).second) {
+    ++table_.doubled;
+    return;
+  }
+  Layout& layout = table_.layout;
+  layout.brake.push_back(seen_->brakes.number(check.serial));
+  layout.station.push_back(seen_->stations.number(check.station));
+  layout.fixture.push_back(seen_->fixtures.number(
+      fmt::format("{} / {}", check.station, check.fixture.empty() ? "-" : check.fixture)));
+  layout.batch.push_back(check.batch.empty() ? -1 : seen_->batches.number(check.batch));
+  table_.started_s.push_back(check.started_s);
+  seen_->simulated.push_back(check.simulated);
+  for (std::size_t i = 0; i < check.readings.size(); ++i) {
+    table_.parameters[i].values.push_back(check.readings[i].first);
+    table_.parameters[i].deviations.push_back(check.readings[i].second);
+  }
+}
+
+Result<LineTable> LineTableBuilder::finish(std::string part_number, std::size_t least) {
+  leave_out_simulated();
+  if (table_.checks() < least)
+    return failure(fmt::format(
+        "{} of {} rows are valid checks: too few ({} neither PASS nor FAIL, {} void, "
+        "{} incomplete)",
+        table_.checks(), table_.rows, table_.invalid, table_.voided, table_.incomplete));
+  Layout& layout = table_.layout;
+  table_.brakes = keep_used(layout.brake, seen_->brakes.all(), layout.brakes);
+  table_.part_number = std::move(part_number);
+  table_.stations = keep_used(layout.station, seen_->stations.all(), layout.stations);
+  table_.fixtures = keep_used(layout.fixture, seen_->fixtures.all(), layout.fixtures);
+  table_.batches = keep_used(layout.batch, seen_->batches.all(), layout.batches);
+  if (table_.checks() > 0) divide_time();
+  return std::move(table_);
+}
+
+/// As the statistics of one station do: simulated brakes count where there are no others.
+void LineTableBuilder::leave_out_simulated() {
+  const std::vector<bool>& simulated = seen_->simulated;
+  const auto count = static_cast<std::size_t>(std::count(simulated.begin(), simulated.end(), true));
+  if (count == 0 || count == simulated.size()) return;
+  table_.simulated = count;
+  const auto keep_real = [&](auto& values) {
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < values.size(); ++i)
+      if (!simulated[i]) values[kept++] = values[i];
+    values.resize(kept);
+  };
+  Layout& layout = table_.layout;
+  for (auto* levels : {&layout.brake, &layout.batch, &layout.station, &layout.fixture}) keep_real(*levels);
+  for (ParameterReadings& parameter : table_.parameters) {
+    keep_real(parameter.values);
+    keep_real(parameter.deviations);
+  }
+  keep_real(table_.started_s);
+}
+
+void LineTableBuilder::divide_time() {
+  const auto [first, last] = std::minmax_element(table_.started_s.begin(), table_.started_s.end());
+  table_.first_s = *first;
+  table_.last_s = *last;
+  Layout& layout = table_.layout;
+  layout.periods =
+      table_.last_s > table_.first_s ? periods_of(table_.started_s.size(), layout.stations) : 1;
+  for (const double started : table_.started_s) {
+    const double share =
+        layout.periods == 1 ? 0.0 : (started - table_.first_s) / (table_.last_s - table_.first_s);
+    layout.period.push_back(std::min(layout.periods - 1, static_cast<int>(share * layout.periods)));
+  }
+}
 
 int periods_of(std::size_t checks, int stations) {
   const auto by_checks = static_cast<int>(

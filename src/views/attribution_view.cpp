@@ -104,6 +104,17 @@ int brakes_needed(const LineAttribution& found) {
   return most;
 }
 
+/// Empty where the data tell all stations apart.
+std::string what_cannot_be_told(const LineTable& table, const LineAttribution& found) {
+  const std::vector<std::string> unknown = unknown_stations(table, found);
+  if (unknown.empty()) return {};
+  return fmt::format(
+      "The data do not tell {} apart from the brakes and batches that {} checked: {}. Check about {} brakes "
+      "there and at another station as well.",
+      unknown.size() == 1 ? "one station" : fmt::format("{} stations", unknown.size()),
+      unknown.size() == 1 ? "it" : "they", fmt::join(unknown, ", "), std::max(2, brakes_needed(found)));
+}
+
 std::string format_spread(const LineAttribution& found) {
   std::string text = fmt::format("{:<10}{:>12}", "parameter", "mean");
   for (const NamedDeviation& named : kDeviations) text += fmt::format("{:>16}", named.name);
@@ -146,13 +157,8 @@ std::string format_attribution(const LineTable& table, const LineAttribution& fo
   text += "\nStandard deviations by cause:\n" + format_spread(found);
   if (!found.parameters.empty() && !found.parameters.front().components.repeat)
     text += "No brakes were checked twice: what repeats differ by is a part of the brakes' figure.\n";
-  if (const std::vector<std::string> unknown = unknown_stations(table, found); !unknown.empty())
-    text += fmt::format(
-        "\nThe data do not tell {} apart from the brakes and batches that {} checked: {}.\nCheck about {} "
-        "brakes there and at another "
-        "station as well.\n",
-        unknown.size() == 1 ? "one station" : fmt::format("{} stations", unknown.size()),
-        unknown.size() == 1 ? "it" : "they", fmt::join(unknown, ", "), std::max(2, brakes_needed(found)));
+  if (const std::string unknown = what_cannot_be_told(table, found); !unknown.empty())
+    text += "\n" + unknown + "\n";
   return text;
 }
 
@@ -174,7 +180,8 @@ ordered_json attribution_json(const LineTable& table, const LineAttribution& fou
                       {"false_alarms", false_alarms},
                       {"parameters", ordered_json::array()},
                       {"unknown_stations", unknown_stations(table, found)},
-                      {"brakes_needed", brakes_needed(found)}};
+                      {"brakes_needed", brakes_needed(found)},
+                      {"cannot_tell", what_cannot_be_told(table, found)}};
   for (const ParameterAttribution& parameter : found.parameters) {
     ordered_json deviations = ordered_json::object();
     for (const NamedDeviation& named : kDeviations)
@@ -194,7 +201,8 @@ ordered_json attribution_json(const LineTable& table, const LineAttribution& fou
                          {words(finding.kind).of_station ? "station" : "batch", name_of(finding, table)},
                          {"size", finding.size},
                          {"sd", finding.sd},
-                         {"p", finding.p}};
+                         {"p", finding.p},
+                         {"words", sentence(finding, parameter, table)}};
       if (finding.kind == Finding::Kind::StationStep)
         entry["about"] = time_text(table.begin_of_period_s(finding.period));
       findings.push_back(std::move(entry));

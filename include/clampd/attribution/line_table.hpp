@@ -1,7 +1,11 @@
 #pragma once
 
 #include <cstddef>
+#include <memory>
+#include <span>
 #include <string>
+#include <string_view>
+#include <utility>
 #include <vector>
 
 #include "clampd/attribution/crossed_effects.hpp"
@@ -42,6 +46,47 @@ struct LineTable {
   double begin_of_period_s(int period) const {
     return first_s + (last_s - first_s) * period / (layout.periods > 0 ? layout.periods : 1);
   }
+};
+
+/// A valid check (PASS or FAIL, not void) on its way into a table.
+struct LineCheck {
+  std::string_view record;  ///< its id; empty: it is not known whether it comes twice
+  std::string_view serial;
+  std::string_view batch;    ///< empty: not known
+  std::string_view station;
+  std::string_view fixture;  ///< empty: the station has one
+  double started_s = 0.0;    ///< seconds since 1970
+  bool simulated = false;
+  /// Of each parameter, in the order in which they were added: the value and its standard deviation.
+  std::span<const std::pair<double, double>> readings;
+};
+
+/// Makes a table of the checks of one part number, one after another.
+class LineTableBuilder {
+ public:
+  LineTableBuilder();
+  ~LineTableBuilder();
+  LineTableBuilder(const LineTableBuilder&) = delete;
+  LineTableBuilder& operator=(const LineTableBuilder&) = delete;
+
+  /// Its number. All parameters before the first check.
+  std::size_t add_parameter(const std::string& name, const std::string& unit);
+  void add(const LineCheck& check);
+  /// Counts a row that becomes no check: &LineTable::invalid, voided or incomplete.
+  void leave_out(std::size_t LineTable::*why);
+  /// What was added so far, not yet numbered.
+  const LineTable& table() const { return table_; }
+  /// Ends it. Simulated brakes stay only where there are no others. Error: fewer than `least` valid checks.
+  Result<LineTable> finish(std::string part_number, std::size_t least);
+
+ private:
+  class Names;
+  struct Seen;
+  void leave_out_simulated();
+  void divide_time();
+
+  LineTable table_;
+  std::unique_ptr<Seen> seen_;
 };
 
 /// Reads what `clampctl results --csv` of several stations wrote. Columns in any order: record, serial,
