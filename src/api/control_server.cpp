@@ -43,17 +43,6 @@ enum Worker : std::size_t { kCommands, kStation, kArchive };
 const std::vector<http::PoolSize> kWorkers{{1, 8}, {1, 32}, {2, 16, 10}};
 constexpr std::optional<std::size_t> kAtOnce;
 
-/// What the screen may do in a browser: nothing but itself, from nowhere else.
-const http::Fields kHeaders{
-    {"Content-Security-Policy",
-     "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"},
-    {"X-Content-Type-Options", "nosniff"},
-    {"X-Frame-Options", "DENY"},
-    {"Referrer-Policy", "no-referrer"},
-    {"Cross-Origin-Resource-Policy", "same-origin"},
-    {"Cross-Origin-Opener-Policy", "same-origin"},
-    {"Cache-Control", "no-store"}};
-
 Response answer(const nlohmann::ordered_json& document) {
   // A text that is not UTF-8 is shown with marks in it rather than not at all.
   return {200, document.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace)};
@@ -156,7 +145,7 @@ bool same_token(std::string_view given, std::string_view expected) {
 class ControlServer::Api {
  public:
   Api(ControlTarget& target, std::string token, std::vector<std::string> origins,
-      std::span<const ScreenFile> screen);
+      std::span<const http::ScreenFile> screen);
 
   std::variant<Response, http::Job> route(const Request& request) const;
 
@@ -202,11 +191,11 @@ class ControlServer::Api {
 };
 
 ControlServer::Api::Api(ControlTarget& target, std::string token, std::vector<std::string> origins,
-                        std::span<const ScreenFile> screen)
+                        std::span<const http::ScreenFile> screen)
     : target_(target), token_(std::move(token)), origins_(std::move(origins)) {
   std::array<char, 256> machine{};
   if (gethostname(machine.data(), machine.size() - 1) == 0) machine_ = lower(machine.data());
-  for (const ScreenFile& file : screen)
+  for (const http::ScreenFile& file : screen)
     routes_.push_back({"GET", file.path, kAtOnce, [&file](const Request&, const Names&) {
                          return Response{200, std::string(file.content), file.type};
                        }});
@@ -465,7 +454,7 @@ int ControlServer::port() const {
 
 Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& target,
                                                             const ControlSettings& settings,
-                                                            std::span<const ScreenFile> screen,
+                                                            std::span<const http::ScreenFile> screen,
                                                             int inherited) {
   std::string token;
   if (!settings.token_file.empty()) {
@@ -480,7 +469,7 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(ControlTarget& targe
   http.inherited = inherited;
   http.pools = kWorkers;
   http.nice = kNice;
-  http.headers = kHeaders;
+  http.headers = http::screen_headers();
   http.report = [](const std::string& what) { spdlog::error("control API: {}", what); };
   auto server = http::Server::start(std::move(http),
                                     [&api = *api](const Request& request) { return api.route(request); });

@@ -46,7 +46,7 @@ FROM clampd.jobs j CROSS JOIN LATERAL (
       finished > clock_timestamp() - interval '10 minutes'))::double precision AS seconds
   FROM clampd.queue WHERE job_id = j.id) q
 WHERE $1::bigint IS NULL OR j.id = $1::bigint
-ORDER BY j.id DESC)sql";
+ORDER BY j.id DESC LIMIT $2)sql";
 
 /// Reasons name their check; without it, those of one kind are one.
 constexpr const char* kFailures = R"sql(
@@ -209,11 +209,11 @@ Result<std::int64_t> Jobs::find(const std::string& job) {
   return id;
 }
 
-Result<std::vector<JobStatus>> Jobs::list() {
+Result<std::vector<JobStatus>> Jobs::list(int most) {
   std::vector<JobStatus> list;
   return connection_
       ->transact([&](pqxx::work& transaction) {
-        for (const pqxx::row& row : transaction.exec_params(kStatus, static_cast<const char*>(nullptr)))
+        for (const pqxx::row& row : transaction.exec_params(kStatus, static_cast<const char*>(nullptr), most))
           list.push_back(status_of(row));
         for (JobStatus& status : list) status.failures = failures_of(transaction, status.id);
       })
@@ -224,7 +224,7 @@ Result<JobStatus> Jobs::status(std::int64_t job) {
   JobStatus status;
   return connection_
       ->transact([&](pqxx::work& transaction) {
-        status = status_of(transaction.exec_params1(kStatus, job));
+        status = status_of(transaction.exec_params1(kStatus, job, 1));
         status.failures = failures_of(transaction, job);
       })
       .map([&] { return std::move(status); });

@@ -103,28 +103,6 @@ int submit(const ArchiveOptions& options, const CommonOptions& common) {
   return cli::kSuccess;
 }
 
-ordered_json status_json(const JobStatus& status) {
-  ordered_json failures = ordered_json::array();
-  for (const auto& [reason, count] : status.failures)
-    failures.push_back({{"reason", reason}, {"tasks", count}});
-  return {{"job", status.id},
-          {"name", status.name},
-          {"submitted", status.submitted},
-          {"submitted_by", status.submitted_by},
-          {"task_sha256", status.task_sha256},
-          {"tasks", status.all()},
-          {"waiting", status.waiting},
-          {"claimed", status.claimed},
-          {"done", status.done},
-          {"failed", status.failed},
-          {"cancelled", status.cancelled},
-          {"workers", status.workers},
-          {"done_per_s", number_or_null(status.done_per_s)},
-          {"left_s", status.left_s ? number_or_null(*status.left_s) : ordered_json(nullptr)},
-          {"end", status.end.empty() ? ordered_json(nullptr) : ordered_json(status.end)},
-          {"failures", std::move(failures)}};
-}
-
 void print_status(const JobStatus& status) {
   fmt::print("job {}{}: {} of {} done", status.id, status.name.empty() ? "" : " (" + status.name + ")",
              status.done, status.all());
@@ -160,7 +138,7 @@ int show_status(const ArchiveOptions& options, const CommonOptions& common) {
     return cli::kSuccess;
   }
   ordered_json documents = ordered_json::array();
-  for (const JobStatus& status : *list) documents.push_back(status_json(status));
+  for (const JobStatus& status : *list) documents.push_back(reanalysis::job_json(status));
   fmt::print("{}\n", ordered_json{{"schema", "clampd.archive_status/1"}, {"jobs", documents}}.dump(2));
   return cli::kSuccess;
 }

@@ -5,11 +5,11 @@
 #include <optional>
 #include <span>
 #include <string>
-#include <string_view>
 
 #include "clampd/api/messages.hpp"
 #include "clampd/archive/store.hpp"
 #include "clampd/base/result.hpp"
+#include "clampd/http/screen.hpp"
 #include "clampd/station/configuration.hpp"
 #include "rt/control_core.hpp"
 
@@ -48,13 +48,6 @@ class ControlTarget {
   virtual nlohmann::ordered_json live(std::uint64_t run, std::size_t row) = 0;
 };
 
-/// A file of the screen, compiled in, so that the daemon serves nothing from a disk.
-struct ScreenFile {
-  std::string_view path;  ///< as in the address, e.g. "/screen.js"
-  std::string_view type;  ///< MIME
-  std::string_view content;
-};
-
 /// The control API (docs/api.md) and the screen, over HTTP.
 class ControlServer {
  public:
@@ -62,7 +55,7 @@ class ControlServer {
   /// usable for the next one who inherits it. Without a token file no token is asked for.
   /// Errors: the address is taken or not ours, the token file cannot be written.
   static Result<std::unique_ptr<ControlServer>> start(ControlTarget& target, const ControlSettings& settings,
-                                                      std::span<const ScreenFile> screen, int inherited = -1);
+                                                      std::span<const http::ScreenFile> screen, int inherited = -1);
   ~ControlServer();
   ControlServer(const ControlServer&) = delete;
   ControlServer& operator=(const ControlServer&) = delete;

@@ -1,11 +1,14 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
+
+#include <nlohmann/json.hpp>
 
 #include "clampd/base/result.hpp"
 #include "clampd/publish/channel.hpp"
@@ -59,6 +62,9 @@ struct JobResult {
   std::string document;  ///< clampd.reanalysis/1; empty if there is none (yet)
 };
 
+/// As clampd.archive_status/1 has it.
+nlohmann::ordered_json job_json(const JobStatus& status);
+
 /// What a check says now and said before.
 struct ComparedCheck {
   std::string check;
@@ -79,8 +85,8 @@ class Jobs {
 
   Result<SubmittedJob> submit(const std::string& name, const Task& task, const Selection& selection);
   Result<std::int64_t> find(const std::string& job);
-  /// The newest first.
-  Result<std::vector<JobStatus>> list();
+  /// The newest first, at most so many.
+  Result<std::vector<JobStatus>> list(int most = std::numeric_limits<int>::max());
   Result<JobStatus> status(std::int64_t job);
   /// In the order of the checks' names.
   Result<std::vector<JobResult>> results(std::int64_t job);
