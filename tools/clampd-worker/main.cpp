@@ -11,7 +11,7 @@
 #include "clampd/reanalysis/database.hpp"
 #include "clampd/reanalysis/worker.hpp"
 #include "clampd/station/configuration.hpp"
-#include "tools/clampd-worker/metrics.hpp"
+#include "tools/clampd-worker/server.hpp"
 #include "tools/cli/exit_code.hpp"
 #include "tools/cli/terminal.hpp"
 
@@ -68,9 +68,11 @@ int main(int argc, char** argv) {
   app.add_option("--lease", lease_s, "seconds after which others take over the task of a worker that died")
       ->check(CLI::Range(3, 86'400))
       ->capture_default_str();
-  std::string metrics_at;
-  app.add_option("--metrics", metrics_at,
-                 "serve what this worker does at http://ADDRESS:PORT/metrics, for Prometheus")
+  std::string serve_at;
+  app.add_option("--serve,--metrics", serve_at,
+                 "serve the page of the line at http://ADDRESS:PORT/ (stations, drift, capability side by side, "
+                 "who does what), the document that it is drawn from at /line.json, and what this worker does "
+                 "at /metrics, for Prometheus")
       ->type_name("ADDRESS:PORT");
   app.add_option("--name", options.name, "of this worker, in the queue and with its results")
       ->capture_default_str();
@@ -93,10 +95,10 @@ int main(int argc, char** argv) {
   if (!archive) return refuse(archive.error());
   options.database = *archive;
   end_on_signals();
-  worker::MetricsServer metrics(options.name);
-  if (!metrics_at.empty()) {
-    if (const Result<void> started = metrics.start(metrics_at); !started) return refuse(started.error());
-    options.report = [&metrics](const reanalysis::WorkerStatus& status) { metrics.set(status); };
+  worker::Server server(options.name, options.database);
+  if (!serve_at.empty()) {
+    if (const Result<void> started = server.start(serve_at); !started) return refuse(started.error());
+    options.report = [&server](const reanalysis::WorkerStatus& status) { server.set(status); };
   }
   const Result<reanalysis::WorkerSummary> summary = reanalysis::work(options, wake());
   if (!summary) return refuse(summary.error());

@@ -2,7 +2,7 @@
 
 const kSvg = 'http://www.w3.org/2000/svg';
 
-function shape(parent, tag, attributes, text) {
+export function shape(parent, tag, attributes, text) {
   const node = document.createElementNS(kSvg, tag);
   for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
   if (text !== undefined) node.textContent = text;

@@ -1,0 +1,44 @@
+#pragma once
+
+#include <chrono>
+#include <map>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "clampd/base/result.hpp"
+#include "clampd/publish/channel.hpp"
+#include "clampd/publish/wake_event.hpp"
+#include "clampd/reanalysis/line_archive.hpp"
+
+namespace clampd::worker {
+
+/// Documents of the page of the line. Each is kept for half a minute, an error for five seconds, so that any
+/// number of screens that show the same cost the database and this machine one reading. get() is used by one
+/// thread.
+class LineDocuments {
+ public:
+  LineDocuments(std::string worker, publish::PostgresqlSettings database)
+      : worker_(std::move(worker)), database_(std::move(database)) {}
+
+  /// clampd.line_page/1 as text. Errors are those of reanalysis::read_line().
+  Result<std::string> get(const reanalysis::LineQuestion& question);
+  /// Nothing waits for a connection any more; from any thread.
+  void stop() noexcept { wake_.stop(); }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  using Key = std::pair<int, std::optional<std::string>>;  ///< days and part number
+  struct Kept {
+    Result<std::string> text;
+    Clock::time_point until;
+  };
+  void make_room();
+
+  const std::string worker_;
+  const publish::PostgresqlSettings database_;
+  publish::WakeEvent wake_;
+  std::map<Key, Kept> kept_;
+};
+
+}  // namespace clampd::worker
