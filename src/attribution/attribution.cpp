@@ -16,6 +16,10 @@ constexpr std::size_t kMostFindings = 20;
 /// Liang 1987: half of chi-square's probability).
 constexpr double kLikelihoodRise = 2.71;
 
+/// A station's level is no question where the stations' deviation is a smaller share than this of that of a check:
+/// the most likely variance is never quite zero.
+constexpr double kNegligibleShare = 0.01;
+
 struct Candidate {
   Finding::Kind kind;
   int station;
@@ -127,6 +131,14 @@ double mean_square(const std::vector<double>& values) {
   return sum / static_cast<double>(values.size());
 }
 
+/// Zero where it is negligible.
+double stations_variance(const Deviations& found) {
+  const auto square = [](double deviation) { return deviation * deviation; };
+  const double all = square(found.repeat) + square(found.brake) + square(found.batch) + square(found.station) +
+                     square(found.fixture) + square(found.period) + square(found.wander);
+  return square(found.station) < square(kNegligibleShare) * all ? 0.0 : square(found.station);
+}
+
 /// Batches that went to one station only, most of them.
 bool batches_stay(const Layout& layout) {
   std::vector<std::int32_t> station(static_cast<std::size_t>(layout.batches), -1);
@@ -187,7 +199,7 @@ ParameterAttribution attribute_parameter(const Layout& layout, const ParameterRe
   const Levels levels = model.levels();
   if (model.components().batch && levels.batch.size() > 0)
     find_batches(levels, result.deviations, level, result.findings);
-  double spread = result.deviations.station * result.deviations.station;
+  double spread = stations_variance(result.deviations);
   for (Eigen::Index s = 0; s < levels.station.size(); ++s)
     result.stations.push_back(
         {levels.station[s], std::sqrt(levels.station_variance[s]),
@@ -196,7 +208,7 @@ ParameterAttribution attribute_parameter(const Layout& layout, const ParameterRe
   const bool known =
       std::all_of(result.stations.begin(), result.stations.end(),
                   [](const StationLevel& station) { return station.reliability >= kReliable; });
-  spread = result.deviations.station * result.deviations.station;
+  spread = stations_variance(result.deviations);
   // The difference of two stations is known to half of their spread.
   if (!known && spread > 0.0)
     result.brakes_needed = static_cast<int>(std::ceil(

@@ -59,10 +59,12 @@ class LineScreen : public support::Archive {
         "CASE WHEN n % 80 = 0 THEN 'failed' ELSE 'done' END, clock_timestamp(), "
         "CASE WHEN n % 80 = 0 THEN 'check ' || id || ': its raw runs are not in the database' END "
         "FROM (SELECT id, row_number() OVER (ORDER BY id) AS n FROM clampd.checks) c WHERE n <= 400");
-    ask("INSERT INTO clampd.queue (job_id, check_id, state, worker, attempts, claimed, lease_until) SELECT 1, id, "
+    ask("INSERT INTO clampd.queue (job_id, check_id, state, worker, attempts, claimed, lease_until) SELECT "
+        "1, id, "
         "'claimed', 'compute-' || n - 400 || ':811', 1, clock_timestamp() - make_interval(secs => n - 395), "
         "clock_timestamp() + interval '1 hour' "
-        "FROM (SELECT id, row_number() OVER (ORDER BY id) AS n FROM clampd.checks) c WHERE n BETWEEN 401 AND 403");
+        "FROM (SELECT id, row_number() OVER (ORDER BY id) AS n FROM clampd.checks) c WHERE n BETWEEN 401 AND "
+        "403");
   }
 
   void picture(const std::string& name, int width) {
@@ -70,7 +72,8 @@ class LineScreen : public support::Archive {
     browser_->resize(width, 1000);
     const int height = browser_->value("document.documentElement.scrollHeight").get<int>();
     browser_->resize(width, height);
-    EXPECT_EQ(browser_->value("document.documentElement.scrollWidth"), width) << name << " is wider than its screen";
+    EXPECT_EQ(browser_->value("document.documentElement.scrollWidth"), width)
+        << name << " is wider than its screen";
     const char* wanted = std::getenv("CLAMPD_SCREENSHOTS");
     const std::string folder = wanted != nullptr ? wanted : std::string(CLAMPD_BINARY_DIR) + "/screenshots";
     std::filesystem::create_directories(folder);
@@ -98,9 +101,11 @@ TEST_F(LineScreen, ShowsStationsParametersFindingsAndWhoDoesWhat) {
                                     1));
   hold_tasks();
   start();
-  ASSERT_TRUE(browser_->becomes("document.querySelectorAll('.station').length === 6")) << browser_->text("body");
-  EXPECT_EQ(browser_->value("[...document.querySelectorAll('.silent h2')].map((node) => node.textContent).join()"),
-            "west-1");
+  ASSERT_TRUE(browser_->becomes("document.querySelectorAll('.station').length === 6"))
+      << browser_->text("body");
+  EXPECT_EQ(
+      browser_->value("[...document.querySelectorAll('.silent h2')].map((node) => node.textContent).join()"),
+      "west-1");
   EXPECT_THAT(browser_->text(".silent .alarm"), HasSubstr("SILENT for 6 days"));
   EXPECT_EQ(browser_->value("document.querySelectorAll('.parameter-card').length"), 7);
   EXPECT_EQ(browser_->value("document.querySelectorAll('.parameter-card .drift .points').length"), 42);
@@ -117,8 +122,9 @@ TEST_F(LineScreen, ShowsStationsParametersFindingsAndWhoDoesWhat) {
   picture("line_dark", 1280);
   browser_->prefer_dark(false);
   picture("line_phone", 390);
-  browser_->value("document.querySelector('#part').value = 'EMB-45/R', "
-                  "document.querySelector('#part').dispatchEvent(new Event('change'))");
+  browser_->value(
+      "document.querySelector('#part').value = 'EMB-45/R', "
+      "document.querySelector('#part').dispatchEvent(new Event('change'))");
   EXPECT_TRUE(shows("#findings", "of part number EMB-45/R"));
   EXPECT_EQ(browser_->value("location.search"), "?part_number=EMB-45%2FR");
   EXPECT_THAT(browser_->complaints(), IsEmpty());
@@ -136,7 +142,8 @@ TEST_F(LineScreen, NamesAreTextWhateverStandsInThem) {
   ask(fmt::format("UPDATE clampd.queue SET worker = '{0}', reason = '{0}'", kHostile));
   ask(fmt::format("UPDATE clampd.jobs SET name = '{0}'", kHostile));
   start();
-  ASSERT_TRUE(browser_->becomes("document.querySelectorAll('.station').length === 2")) << browser_->text("body");
+  ASSERT_TRUE(browser_->becomes("document.querySelectorAll('.station').length === 2"))
+      << browser_->text("body");
   EXPECT_EQ(browser_->text(".station h2"), kHostile);
   EXPECT_THAT(browser_->text(".station .last"), HasSubstr(kHostile));
   EXPECT_THAT(browser_->text(".parameter-card .name"), kHostile);
@@ -154,15 +161,17 @@ TEST_F(LineScreen, SaysInWordsWhatIsMissing) {
   EXPECT_TRUE(shows("#about", "There is no check in the archive yet")) << browser_->text("body");
   publish(support::checks_of_a_line({{.name = "north"}, {.name = "south"}}, 3));
   const auto choose = [&](const std::string& words) {
-    browser_->value("[...document.querySelectorAll('#spans button')].find((node) => node.textContent === '" + words +
-                    "').click()");
+    browser_->value("[...document.querySelectorAll('#spans button')].find((node) => node.textContent === '" +
+                    words + "').click()");
   };
   choose("7 days");
-  EXPECT_TRUE(browser_->becomes("document.querySelectorAll('.station').length === 2")) << browser_->text("body");
+  EXPECT_TRUE(browser_->becomes("document.querySelectorAll('.station').length === 2"))
+      << browser_->text("body");
   server->stop();
   choose("90 days");
   EXPECT_TRUE(shows("#notices", "PostgreSQL")) << browser_->text("body");
-  EXPECT_THAT(browser_->text("#notices"), AllOf(HasSubstr("no connection"), HasSubstr("What is shown is of")));
+  EXPECT_THAT(browser_->text("#notices"),
+              AllOf(HasSubstr("no connection"), HasSubstr("What is shown is of")));
   EXPECT_EQ(browser_->value("document.querySelectorAll('.station').length"), 2);
   EXPECT_EQ(browser_->value("document.body.className"), "stale");
   server->start();

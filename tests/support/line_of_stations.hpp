@@ -26,9 +26,10 @@ struct LineStation {
   double step = 0.0;
 };
 
-/// Their checks of the last thirty days, the first one first, as the stations publish them, without runs. Brakes come in
-/// batches of three days, which all stations share.
-inline std::vector<CheckRecord> checks_of_a_line(const std::vector<LineStation>& stations, std::uint64_t seed) {
+/// Their checks of the last thirty days, the first one first, as the stations publish them, without runs.
+/// Brakes come in batches of three days, which all stations share.
+inline std::vector<CheckRecord> checks_of_a_line(const std::vector<LineStation>& stations,
+                                                 std::uint64_t seed) {
   constexpr double kDays = 30.0;
   constexpr std::array<double, kParameterCount> kSpread{0.05, 0.03, 0.10, 0.12, 0.15, 0.04, 0.15};
   constexpr std::array<double, kParameterCount> kMean{1.0, 1.0, 1.1, 0.9, 1.4, 1.0, 0.9};
@@ -40,7 +41,9 @@ inline std::vector<CheckRecord> checks_of_a_line(const std::vector<LineStation>&
   for (int batch = 0; batch < 11; ++batch) batches.push_back(0.3 * normal(random));
   std::vector<CheckRecord> checks;
   const std::int64_t now_ns = utc_now_ns();
-  for (const LineStation& station : stations)
+  for (const LineStation& station : stations) {
+    std::array<double, kParameterCount> level;
+    for (std::size_t i = 0; i < kParameterCount; ++i) level[i] = 0.25 * kSpread[i] * normal(random);
     for (double day = uniform(random) / station.checks_per_day; day < kDays - station.silent_days;
          day += (0.5 + uniform(random)) / station.checks_per_day) {
       CheckRecord& check = checks.emplace_back();
@@ -59,12 +62,17 @@ inline std::vector<CheckRecord> checks_of_a_line(const std::vector<LineStation>&
       if (luck < 0.02) check.verdict = Verdict::Error;
       for (std::size_t i = 0; i < kParameterCount && luck >= 0.02; ++i) {
         const double nominal = kParameterTable[i].nominal;
-        double value = kMean[i] + kSpread[i] * (normal(random) + batches[static_cast<std::size_t>(day / 3.0)]);
+        double value = kMean[i] + level[i] +
+                       kSpread[i] * (normal(random) + batches[static_cast<std::size_t>(day / 3.0)]);
         if (i == station.drifts) value += station.drift * day / kDays;
         if (i == station.steps && day > kDays * 2.0 / 3.0) value += station.step;
         ParameterRecord& parameter = check.parameters.emplace_back();
-        parameter = {std::string(kParameterTable[i].name), std::string(kParameterTable[i].unit), nominal * value,
-                     std::abs(nominal) * kSpread[i] / 20.0, limits.intervals[i].lower, limits.intervals[i].upper,
+        parameter = {std::string(kParameterTable[i].name),
+                     std::string(kParameterTable[i].unit),
+                     nominal * value,
+                     std::abs(nominal) * kSpread[i] / 20.0,
+                     limits.intervals[i].lower,
+                     limits.intervals[i].upper,
                      ParameterVerdict::Pass};
         if (parameter.value < parameter.lower || parameter.value > parameter.upper) {
           parameter.verdict = ParameterVerdict::Fail;
@@ -72,6 +80,7 @@ inline std::vector<CheckRecord> checks_of_a_line(const std::vector<LineStation>&
         }
       }
     }
+  }
   return checks;
 }
 

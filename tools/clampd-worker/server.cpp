@@ -14,7 +14,8 @@
 namespace clampd::worker {
 namespace {
 
-/// One thread for the documents, below the one that identifies runs; whoever comes while eight wait is refused.
+/// One thread for the documents, below the one that identifies runs; whoever comes while eight wait is
+/// refused.
 constexpr std::size_t kDocuments = 0;
 const std::vector<http::PoolSize> kPools{{1, 8, 9}};
 constexpr std::size_t kLongestPartNumber = 200;

@@ -7,7 +7,8 @@ import { parameterWords } from '/words.js';
 const kEach_ms = 30000;
 /** Longer than the archive may take; what comes later is said to hang. */
 const kPatience_ms = 30000;
-const kSpans = [[1, '24 h'], [7, '7 days'], [30, '30 days'], [90, '90 days'], [365, '1 year']];
+/** Days, what they are called, and their periods. */
+const kSpans = [[1, '24 h', 'hour'], [7, '7 days', '6 hours'], [30, '30 days', 'day'], [90, '90 days', '3 days'], [365, '1 year', 'week']];
 const kKinds = ['passed', 'failed', 'invalid'];
 
 // What is shown stands in the address, so that a screen on a wall keeps it.
@@ -16,6 +17,9 @@ let line = null;
 let asked = 0;
 
 const spanWords = (days) => kSpans.find(([span]) => span === days)?.[1] ?? `${days} days`;
+const periodWords = (days) => `each ${kSpans.find(([span]) => span === days)?.[2] ?? 'period'}`;
+/** A sentence of the attribution as the page writes units and times. */
+const findingText = (words) => unitText(words).replace(/(\d{4}-\d\d-\d\d)T(\d\d:\d\d):\d\dZ/g, '$1 $2 UTC');
 const cardinal = (count, word) => `${count.toLocaleString('en')} ${word}${count === 1 ? '' : 's'}`;
 
 function ageText(seconds) {
@@ -113,6 +117,12 @@ function showAbout() {
   setText($('about'), `${texts.join('; ')}.`);
 }
 
+function drawing(kind) {
+  const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
+  svg.classList.add(kind);
+  return svg;
+}
+
 function stationCard(station) {
   const { last } = station;
   const card = element('div', { className: station.silent ? 'station card silent' : 'station card' });
@@ -120,12 +130,12 @@ function stationCard(station) {
   const when = element('span', { textContent: `${ageText(last.age_s)} ago`, title: utcText(last.started) });
   const badge = element('span', { className: `badge ${last.verdict}`, textContent: last.verdict, title: last.reason });
   card.append(element('div', { className: 'top' }, element('h2', { textContent: station.station || 'no name' }), badge),
-              element('div', { className: 'last' }, element('b', { textContent: last.serial || 'no serial' }), ' · ', when));
+              element('div', { className: 'last' }, element('b', { textContent: last.serial || 'no serial', title: last.serial }), when),
+              drawing('bars'), countsOf(station));
   if (station.silent) {
-    const missed = station.missed === null ? `no check in ${spanWords(line.days)}` : `by its share of the line about ${Math.round(station.missed)} checks are missing`;
+    const missed = station.missed === null ? `no check in ${spanWords(line.days)}` : `its share of the line would be ${Math.round(station.missed)} checks`;
     card.append(element('p', { className: 'alarm', textContent: `SILENT for ${ageText(last.age_s)}: ${missed}` }));
   }
-  card.append(document.createElementNS('http://www.w3.org/2000/svg', 'svg'), countsOf(station));
   if (station.simulated > 0) card.append(element('div', { className: 'quiet', textContent: `${cardinal(station.simulated, 'check')} of SIMULATED brakes` }));
   return card;
 }
@@ -133,11 +143,9 @@ function stationCard(station) {
 function countsOf(station) {
   const rows = [[spanWords(line.days), station.span]];
   if (line.days > 1) rows.unshift(['24 h', station.day]);
-  const cells = rows.flatMap(([words, counts]) => [
-    element('span', { textContent: words }),
-    ...kKinds.map((kind) => element('span', { title: `${counts[kind]} ${kind}` }, element('i', { className: kind }), counts[kind].toLocaleString('en'))),
-  ]);
-  return element('div', { className: 'counts' }, ...cells);
+  const head = [element('span'), ...kKinds.map((kind) => element('span', { className: 'quiet' }, element('i', { className: kind }), kind))];
+  const cells = rows.flatMap(([words, counts]) => [words, ...kKinds.map((kind) => counts[kind].toLocaleString('en'))].map((textContent) => element('span', { textContent })));
+  return element('div', { className: 'counts' }, ...head, ...cells);
 }
 
 /** Shades what was not read; `at` gives the place of a share of the span. */
@@ -168,7 +176,7 @@ function drawStations() {
         shape(svg, 'rect', { class: kKinds[kind], x: period * each + 0.5, width: Math.max(1, each - 1.5), y, height: tall });
       });
     });
-    shape(svg, 'title', {}, `checks in each ${ageText(line.period_s)}, up to ${top}`);
+    shape(svg, 'title', {}, `checks of ${periodWords(line.days)}, at most ${top}`);
   }
 }
 
@@ -181,7 +189,7 @@ function showFindings() {
   if (!line.attribution)
     return $('findings').replaceChildren(say('unknown', `${cardinal(line.measured, 'valid check')} of ${part} in ${spanWords(line.days)}: with fewer than ten nothing can be attributed. Choose a longer time.`));
   const found = allFindings();
-  const lines = found.map((finding) => say('finding', finding.words));
+  const lines = found.map((finding) => say('finding', findingText(finding.words)));
   if (found.length === 0) lines.push(say('', `${part}: no station and no batch differs or changes by more than the others do.`));
   for (const parameter of line.attribution.parameters)
     if (!parameter.converged) lines.push(say('unknown', `${parameter.name}: the spread could not be divided among its causes; what is said of it is not to be relied on.`));
@@ -193,7 +201,10 @@ function showFindings() {
 }
 
 function showParameters() {
-  $('parameters').replaceChildren(...line.parameters.map(parameterCard));
+  $('cards').replaceChildren(...line.parameters.map(parameterCard), $('work'));
+  $('key').hidden = line.parameters.length === 0;
+  setText($('key'), `Of each brake the last valid check at each station counts. Left: mean ± 2 sd of the brakes between the limits (green). Right: mean of ${periodWords(line.days)} ± 2 sd, on one scale for all stations; dashed: the mean of all.` +
+    (line.measured_since ? ` Only checks from ${utcText(line.measured_since)} on were read: older ones are left out.` : ''));
   drawParameters();
 }
 
@@ -206,16 +217,15 @@ function driftRange(parameter) {
 
 function parameterCard(parameter) {
   const { name, unit, lower, upper } = parameter;
-  const findings = allFindings().filter((finding) => finding.parameter === name);
+  const findings = allFindings().filter((finding) => finding.parameter === name && finding.station !== undefined);
   const [low, high] = driftRange(parameter);
   const limits = [lower === null ? '' : `from ${shortNumber(lower)}`, upper === null ? '' : `to ${shortNumber(upper)}`].filter(Boolean).join(' ') || 'none on record';
   const changed = parameter.limits_changed ? '; they changed in this time, these are the newest check’s' : '';
-  const heading = element('div', { className: 'row-of heading' }, ...['station', 'brakes between the limits, ± 2 sd', 'Cpk (95 %)', `means of ${ageText(line.period_s)} ± 2 sd, ${shortNumber(low, 3)} to ${shortNumber(high, 3)}`].map((textContent) => element('span', { textContent })));
-  const rows = parameter.stations.map((station) => parameterRow(parameter, station, findings.some((finding) => finding.station === station.station)));
+  const heading = element('div', { className: 'row-of heading' }, ...['station', 'brakes', 'Cpk (95 %)', `${periodWords(line.days)}: ${shortNumber(low, 3)} to ${shortNumber(high, 3)}`].map((textContent) => element('span', { textContent })));
+  const rows = parameter.stations.map((station) => parameterRow(parameter, station, findings.find((finding) => finding.station === station.station)));
   const card = element('div', { className: 'card parameter-card' },
                        element('h2', {}, `${parameterWords(name)} ${name} `, element('span', { className: 'quiet', textContent: `${unitText(unit)}; limits ${limits}${changed}` })),
-                       element('div', { className: 'stations-in' }, heading, ...rows),
-                       ...findings.map((finding) => element('p', { className: 'finding', textContent: finding.words })));
+                       element('div', { className: 'stations-in' }, heading, ...rows));
   card.dataset.name = name;
   return card;
 }
@@ -229,21 +239,16 @@ function cpkCell({ value, lower, upper }) {
 
 function parameterRow(parameter, station, found) {
   const spread = `${shortNumber(station.mean)} ± ${shortNumber(station.sd, 2)} ${unitText(parameter.unit)} over ${cardinal(station.brakes, 'brake')}`;
-  const svg = (kind) => {
-    const node = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-    node.classList.add(kind);
-    return node;
-  };
   const limited = parameter.lower !== null && parameter.upper !== null;
-  const strip = limited ? svg('strip') : element('span', { className: 'nothing', textContent: `${shortNumber(station.mean)} ± ${shortNumber(station.sd, 2)}` });
-  const row = element('div', { className: found ? 'row-of found' : 'row-of', title: `${station.station}: ${spread}` },
-                      element('span', { className: 'name', textContent: station.station }), strip, cpkCell(station.cpk), svg('drift'));
+  const strip = limited ? drawing('strip') : element('span', { className: 'nothing', textContent: `${shortNumber(station.mean)} ± ${shortNumber(station.sd, 2)}` });
+  const row = element('div', { className: found ? 'row-of found' : 'row-of', title: `${station.station}: ${spread}${found ? `. ${findingText(found.words)}` : ''}` },
+                      element('span', { className: 'name', textContent: station.station }), strip, cpkCell(station.cpk), drawing('drift'));
   row.dataset.station = station.station;
   return row;
 }
 
 function drawParameters() {
-  for (const card of $('parameters').children) {
+  for (const card of document.querySelectorAll('.parameter-card')) {
     const parameter = line.parameters.find((one) => one.name === card.dataset.name);
     const y = driftRange(parameter);
     for (const row of card.querySelectorAll('[data-station]')) {
@@ -275,14 +280,13 @@ function showWork() {
   $('work').hidden = line.jobs.length === 0 && line.claims.length === 0;
   $('jobs').replaceChildren(...line.jobs.map(jobRow));
   if (line.claims.length === 0) return $('claims').replaceChildren(element('p', { className: 'quiet', textContent: 'No worker holds a task.' }));
-  const rows = line.claims.map((claim) => {
-    const gone = claim.alive ? '' : 'its lease has ended: another worker takes the task over';
+  $('claims').replaceChildren(...line.claims.map((claim) => {
     const since = `${ageText(claim.age_s)}${claim.attempts > 1 ? `, attempt ${claim.attempts}` : ''}`;
-    return element('tr', {}, ...[claim.worker, `check ${claim.serial || claim.check}`, `job ${claim.job}${claim.job_name ? ` (${claim.job_name})` : ''}`, since].map((textContent) => element('td', { textContent })),
-                   element('td', { className: 'gone', textContent: gone }));
-  });
-  const head = element('tr', {}, ...['worker', 'identifies', 'of', 'for', ''].map((textContent) => element('th', { textContent })));
-  $('claims').replaceChildren(element('table', {}, element('thead', {}, head), element('tbody', {}, ...rows)));
+    const row = element('div', { className: 'claim' }, element('b', { textContent: claim.worker }), element('span', { textContent: `check of ${claim.serial || claim.check}, job ${claim.job}` }),
+                        element('span', { className: 'quiet', textContent: since }));
+    if (!claim.alive) row.append(element('span', { className: 'gone', textContent: 'its lease has ended: another worker takes the task over' }));
+    return row;
+  }));
 }
 
 function jobRow(job) {
