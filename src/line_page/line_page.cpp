@@ -220,29 +220,6 @@ ordered_json parameters_json(const LineRows& rows, const Measured& checks, const
   return parameters;
 }
 
-/// clampd.line/1; nothing where there are too few checks.
-ordered_json attribution_of(const LineRows& rows, const Measured& checks) {
-  attribution::LineTableBuilder builder;
-  for (const ParameterInfo& parameter : kParameterTable)
-    builder.add_parameter(std::string(parameter.name), std::string(parameter.unit));
-  for (const MeasuredCheck* check : checks) {
-    attribution::LineCheck row;
-    row.serial = check->serial;
-    row.batch = check->batch;
-    row.station = check->station;
-    row.fixture = check->fixture;
-    row.started_s = check->started_s;
-    row.simulated = check->simulated;
-    row.readings = check->readings;
-    builder.add(row);
-  }
-  const Result<attribution::LineTable> table = builder.finish(rows.part_number, kFewestForAttribution);
-  if (!table) return nullptr;
-  attribution::AttributionOptions options;
-  options.threads = 1;  // the worker's other thread has its checks to identify
-  return attribution_json(*table, attribution::attribute(*table, options), options.false_alarms);
-}
-
 ordered_json claims_json(const LineRows& rows) {
   ordered_json claims = ordered_json::array();
   for (const reanalysis::HeldClaim& claim : rows.claims)
@@ -260,7 +237,29 @@ ordered_json claims_json(const LineRows& rows) {
 
 }  // namespace
 
-ordered_json document(const LineRows& rows) {
+ordered_json attribution_of(const LineRows& rows) {
+  attribution::LineTableBuilder builder;
+  for (const ParameterInfo& parameter : kParameterTable)
+    builder.add_parameter(std::string(parameter.name), std::string(parameter.unit));
+  for (const MeasuredCheck* check : that_count(rows.measured)) {
+    attribution::LineCheck row;
+    row.serial = check->serial;
+    row.batch = check->batch;
+    row.station = check->station;
+    row.fixture = check->fixture;
+    row.started_s = check->started_s;
+    row.simulated = check->simulated;
+    row.readings = check->readings;
+    builder.add(row);
+  }
+  const Result<attribution::LineTable> table = builder.finish(rows.part_number, kFewestForAttribution);
+  if (!table) return nullptr;
+  attribution::AttributionOptions options;
+  options.threads = 1;  // the worker's other thread has its checks to identify
+  return attribution_json(*table, attribution::attribute(*table, options), options.false_alarms);
+}
+
+ordered_json document(const LineRows& rows, ordered_json attribution) {
   const Periods periods(rows);
   const Measured checks = that_count(rows.measured);
   ordered_json stations = ordered_json::array();
@@ -269,31 +268,29 @@ ordered_json document(const LineRows& rows) {
             [](const auto& a, const auto& b) { return a["station"] < b["station"]; });
   ordered_json jobs = ordered_json::array();
   for (const reanalysis::JobStatus& job : rows.jobs) jobs.push_back(reanalysis::job_json(job));
-  ordered_json result{
-      {"schema", "clampd.line_page/1"},
-      {"archive", rows.where},
-      {"made", time_text(rows.now_s)},
-      {"days", rows.span.days},
-      {"since", time_text(periods.since_s())},
-      {"period_s", rows.span.period_s},
-      {"periods", periods.count()},
-      {"checks", rows.checks.size()},
-      // What is older was not read.
-      {"read_since",
-       rows.more_checks ? ordered_json(time_text(rows.checks.back().started_s)) : ordered_json()},
-      {"stations", std::move(stations)},
-      {"more_stations", rows.more_stations},
-      {"part_numbers", part_numbers_json(rows.checks)},
-      {"part_number", rows.part_number},
-      {"measured", checks.size()},
-      {"measured_since",
-       rows.more_measured ? ordered_json(time_text(rows.measured.back().started_s)) : ordered_json()},
-      {"simulated_left_out", rows.measured.size() - checks.size()},
-      {"parameters", parameters_json(rows, checks, periods)},
-      {"attribution", attribution_of(rows, checks)}};
-  result["claims"] = claims_json(rows);
-  result["jobs"] = std::move(jobs);
-  return result;
+  return {{"schema", "clampd.line_page/1"},
+          {"archive", rows.where},
+          {"made", time_text(rows.now_s)},
+          {"days", rows.span.days},
+          {"since", time_text(periods.since_s())},
+          {"period_s", rows.span.period_s},
+          {"periods", periods.count()},
+          {"checks", rows.checks.size()},
+          // What is older was not read.
+          {"read_since",
+           rows.more_checks ? ordered_json(time_text(rows.checks.back().started_s)) : ordered_json()},
+          {"stations", std::move(stations)},
+          {"more_stations", rows.more_stations},
+          {"part_numbers", part_numbers_json(rows.checks)},
+          {"part_number", rows.part_number},
+          {"measured", checks.size()},
+          {"measured_since",
+           rows.more_measured ? ordered_json(time_text(rows.measured.back().started_s)) : ordered_json()},
+          {"simulated_left_out", rows.measured.size() - checks.size()},
+          {"parameters", parameters_json(rows, checks, periods)},
+          {"attribution", std::move(attribution)},
+          {"claims", claims_json(rows)},
+          {"jobs", std::move(jobs)}};
 }
 
 }  // namespace clampd::line_page

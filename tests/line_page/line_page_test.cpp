@@ -79,6 +79,10 @@ LineRows rows_of(const Line& line) {
   return rows;
 }
 
+ordered_json page_of(const LineRows& rows) {
+  return document(rows, attribution_of(rows));
+}
+
 std::vector<std::string> findings_of(const ordered_json& page) {
   std::vector<std::string> words;
   for (const ordered_json& parameter : page.at("attribution").at("parameters"))
@@ -87,7 +91,7 @@ std::vector<std::string> findings_of(const ordered_json& page) {
 }
 
 TEST(LinePage, CountsTheChecksOfEachStationAndShowsWhichOneIsSilent) {
-  const ordered_json page = document(rows_of({.south_days = 27.0}));
+  const ordered_json page = page_of(rows_of({.south_days = 27.0}));
   EXPECT_EQ(page["schema"], "clampd.line_page/1");
   EXPECT_EQ(page["made"], "2026-11-30T12:00:00.000Z");
   EXPECT_EQ(page["since"], "2026-11-01T00:00:00.000Z");
@@ -108,21 +112,21 @@ TEST(LinePage, CountsTheChecksOfEachStationAndShowsWhichOneIsSilent) {
 }
 
 TEST(LinePage, NoStationIsSilentWhileTheWholeLineRests) {
-  for (const ordered_json& station : document(rows_of({.south_days = 24.0, .north_days = 24.0}))["stations"])
+  for (const ordered_json& station : page_of(rows_of({.south_days = 24.0, .north_days = 24.0}))["stations"])
     EXPECT_EQ(station["silent"], false) << station;
 }
 
 TEST(LinePage, AStationWithoutAnyCheckInTheSpanIsSilent) {
   LineRows rows = rows_of({});
   rows.stations.push_back({"west", kNow_s - 50 * kDay_s, "long ago", "P", Verdict::Pass, ""});
-  const ordered_json west = document(rows)["stations"][2];
+  const ordered_json west = page_of(rows)["stations"][2];
   EXPECT_EQ(west["silent"], true);
   EXPECT_TRUE(west["missed"].is_null());
   EXPECT_EQ(west["last"]["age_s"], 50 * kDay_s);
 }
 
 TEST(LinePage, AStationThatDriftsIsSeenAndNamed) {
-  const ordered_json page = document(rows_of({.drift = 0.06}));
+  const ordered_json page = page_of(rows_of({.drift = 0.06}));
   EXPECT_THAT(findings_of(page),
               ElementsAre(AllOf(HasSubstr("station north: k2"), HasSubstr("drifts, by +"))));
   const ordered_json& stiffness = page["parameters"][k2];
@@ -142,7 +146,7 @@ TEST(LinePage, AStationThatDriftsIsSeenAndNamed) {
 }
 
 TEST(LinePage, NothingIsNamedOnALineWithoutACause) {
-  EXPECT_THAT(findings_of(document(rows_of({}))), IsEmpty());
+  EXPECT_THAT(findings_of(page_of(rows_of({}))), IsEmpty());
 }
 
 TEST(LinePage, ABrakeCountsOnceAtAStationByItsLastCheck) {
@@ -155,7 +159,7 @@ TEST(LinePage, ABrakeCountsOnceAtAStationByItsLastCheck) {
   again.readings[k2].first = 1.1 * kParameterTable[k2].nominal;
   rows.measured.insert(rows.measured.begin(), again);
 
-  const ordered_json at_north = document(rows)["parameters"][k2]["stations"][0];
+  const ordered_json at_north = page_of(rows)["parameters"][k2]["stations"][0];
   std::vector<double> values;
   for (const MeasuredCheck& check : rows.measured)
     if (check.station == "north" && (check.serial != again.serial || check.started_s == again.started_s))
@@ -172,31 +176,31 @@ TEST(LinePage, ABrakeCountsOnceAtAStationByItsLastCheck) {
 
 TEST(LinePage, SaysWhetherTheLimitsChangedAndDrawsThoseOfTheNewestCheck) {
   LineRows rows = rows_of({});
-  EXPECT_EQ(document(rows)["parameters"][TC]["limits_changed"], false);
+  EXPECT_EQ(page_of(rows)["parameters"][TC]["limits_changed"], false);
   rows.measured.front().limits[TC] = {-std::numeric_limits<double>::infinity(), 1.0};
-  const ordered_json friction = document(rows)["parameters"][TC];
+  const ordered_json friction = page_of(rows)["parameters"][TC];
   EXPECT_EQ(friction["limits_changed"], true);
   EXPECT_EQ(friction["upper"], 1.0);
   EXPECT_TRUE(friction["lower"].is_null());
-  EXPECT_EQ(document(rows)["parameters"][k2]["limits_changed"], false);
+  EXPECT_EQ(page_of(rows)["parameters"][k2]["limits_changed"], false);
 }
 
 TEST(LinePage, SimulatedBrakesCountWhereThereAreNoOthers) {
-  const ordered_json mixed = document(rows_of({.simulated = 0.25}));
+  const ordered_json mixed = page_of(rows_of({.simulated = 0.25}));
   EXPECT_EQ(mixed["simulated_left_out"].get<std::size_t>() + mixed["measured"].get<std::size_t>(),
             rows_of({}).measured.size());
   EXPECT_NEAR(mixed["simulated_left_out"].get<double>(), 0.25 * 570, 10.0);
-  const ordered_json alone = document(rows_of({.simulated = 1.0}));
+  const ordered_json alone = page_of(rows_of({.simulated = 1.0}));
   EXPECT_EQ(alone["simulated_left_out"], 0);
   EXPECT_EQ(alone["measured"], rows_of({}).measured.size());
 }
 
 TEST(LinePage, SaysFromWhenOnItWasRead) {
   LineRows rows = rows_of({});
-  EXPECT_TRUE(document(rows)["read_since"].is_null());
+  EXPECT_TRUE(page_of(rows)["read_since"].is_null());
   rows.checks.resize(100);
   rows.more_checks = true;
-  const ordered_json page = document(rows);
+  const ordered_json page = page_of(rows);
   EXPECT_THAT(page["read_since"], HasSubstr("2026-11-2"));
   EXPECT_EQ(page["checks"], 100);
 }
@@ -205,7 +209,7 @@ TEST(LinePage, AnArchiveWithoutChecksGivesAPageToo) {
   LineRows rows;
   rows.now_s = kNow_s;
   rows.span = reanalysis::kLineSpans[0];
-  const ordered_json page = document(rows);
+  const ordered_json page = page_of(rows);
   EXPECT_THAT(page["stations"], IsEmpty());
   EXPECT_THAT(page["parameters"], IsEmpty());
   EXPECT_TRUE(page["attribution"].is_null());
@@ -214,7 +218,7 @@ TEST(LinePage, AnArchiveWithoutChecksGivesAPageToo) {
 TEST(LinePage, FewChecksHaveNoCapabilityAndNoAttribution) {
   LineRows rows = rows_of({});
   rows.measured.resize(1);
-  const ordered_json page = document(rows);
+  const ordered_json page = page_of(rows);
   EXPECT_TRUE(page["attribution"].is_null());
   ASSERT_EQ(page["parameters"].size(), kParameterCount);
   const ordered_json& only = page["parameters"][k2]["stations"][0];
@@ -224,7 +228,7 @@ TEST(LinePage, FewChecksHaveNoCapabilityAndNoAttribution) {
 }
 
 TEST(LinePage, BrakesThatAreAllAlikeAreNoHindrance) {
-  const ordered_json page = document(rows_of({.spread = 0.0}));
+  const ordered_json page = page_of(rows_of({.spread = 0.0}));
   EXPECT_THAT(findings_of(page), IsEmpty());
   EXPECT_TRUE(page["parameters"][k2]["stations"][0]["cpk"]["value"].is_null());
   EXPECT_EQ(ordered_json::parse(page.dump()), page);
@@ -239,7 +243,7 @@ TEST(LinePage, ClaimsAndJobsAreTold) {
   job.failed = 1;
   job.failures.emplace_back("no raw runs", 1);
   rows.jobs.push_back(job);
-  const ordered_json page = document(rows);
+  const ordered_json page = page_of(rows);
   EXPECT_EQ(page["claims"][0]["worker"], "host:1");
   EXPECT_EQ(page["claims"][0]["age_s"], 40.0);
   EXPECT_EQ(page["claims"][0]["alive"], false);

@@ -6,6 +6,8 @@
 #include <string>
 #include <utility>
 
+#include <nlohmann/json.hpp>
+
 #include "clampd/base/result.hpp"
 #include "clampd/publish/channel.hpp"
 #include "clampd/publish/wake_event.hpp"
@@ -13,9 +15,9 @@
 
 namespace clampd::worker {
 
-/// Documents of the page of the line. Each is kept for half a minute, an error for five seconds, so that any
-/// number of screens that show the same cost the database and this machine one reading. get() is used by one
-/// thread.
+/// Documents of the page of the line. Each is kept for half a minute, what attribution found for five, and an
+/// error for five seconds, so that any number of screens that show the same cost the database and this
+/// machine one reading. get() is used by one thread.
 class LineDocuments {
  public:
   LineDocuments(std::string worker, publish::PostgresqlSettings database)
@@ -30,10 +32,12 @@ class LineDocuments {
   using Clock = std::chrono::steady_clock;
   using Key = std::pair<int, std::optional<std::string>>;  ///< days and part number
   struct Kept {
-    Result<std::string> text;
+    Result<std::string> text = failure("not read");
     Clock::time_point until;
+    nlohmann::ordered_json attribution;
+    Clock::time_point attribution_until;
   };
-  void make_room();
+  Kept& kept(const Key& key);
 
   const std::string worker_;
   const publish::PostgresqlSettings database_;

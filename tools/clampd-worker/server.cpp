@@ -17,7 +17,7 @@ namespace {
 /// One thread for the documents, below the one that identifies runs; whoever comes while eight wait is
 /// refused.
 constexpr std::size_t kDocuments = 0;
-const std::vector<http::PoolSize> kPools{{1, 8, 9}};
+const std::vector<http::PoolSize> kPools{{1, 8, 19}};
 constexpr std::size_t kLongestPartNumber = 200;
 
 http::Response document_or_refusal(const Result<std::string>& document) {

@@ -5,16 +5,18 @@ import { $, element, setText, unitText, utcText } from '/page.js';
 import { parameterWords } from '/words.js';
 
 const kEach_ms = 30000;
-/** Longer than the archive may take; what comes later is said to hang. */
-const kPatience_ms = 30000;
+/** Longer than the archive may take, also on a machine that is busy. */
+const kPatience_ms = 60000;
 /** Days, what they are called, and their periods. */
 const kSpans = [[1, '24 h', 'hour'], [7, '7 days', '6 hours'], [30, '30 days', 'day'], [90, '90 days', '3 days'], [365, '1 year', 'week']];
 const kKinds = ['passed', 'failed', 'invalid'];
+const kKindWords = ['pass', 'fail', 'error'];
 
 // What is shown stands in the address, so that a screen on a wall keeps it.
 const wanted = new URLSearchParams(location.search);
 let line = null;
 let asked = 0;
+let answered = 0;
 
 const spanWords = (days) => kSpans.find(([span]) => span === days)?.[1] ?? `${days} days`;
 const periodWords = (days) => `each ${kSpans.find(([span]) => span === days)?.[2] ?? 'period'}`;
@@ -25,7 +27,7 @@ const cardinal = (count, word) => `${count.toLocaleString('en')} ${word}${count 
 function ageText(seconds) {
   if (seconds < 90) return `${Math.round(seconds)} s`;
   if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
-  if (seconds < 2 * 86400) return `${Math.floor(seconds / 3600)} h ${Math.round((seconds % 3600) / 60)} min`;
+  if (seconds < 2 * 86400) return `${Math.round(seconds / 3600)} h`;
   return `${Math.round(seconds / 86400)} days`;
 }
 
@@ -38,7 +40,7 @@ async function read() {
     if (response.ok) return answer;
     throw new Error(answer.error ?? `status ${response.status}`);
   } catch (error) {
-    if (error.name === 'TimeoutError') throw new Error(`The worker has not answered for ${kPatience_ms / 1000} s: its database may hang.`);
+    if (error.name === 'TimeoutError') throw new Error(`The worker has not answered for ${kPatience_ms / 1000} s: its database hangs, or its machine has no time.`);
     if (!response) throw new Error(`No answer from the worker at ${location.host}: it has ended, or the network is cut.`);
     throw error;
   }
@@ -60,6 +62,8 @@ async function refresh() {
     setText($('notices'), `${error.message}${shown} Trying again every ${kEach_ms / 1000} s.`);
     document.body.classList.add('stale');
     if (!line) setText($('about'), '');
+  } finally {
+    answered = Math.max(answered, mine);
   }
 }
 
@@ -92,7 +96,8 @@ function showChoices() {
 function show() {
   showChoices();
   showAbout();
-  $('stations').replaceChildren(...line.stations.map(stationCard));
+  const silentFirst = [...line.stations].sort((a, b) => b.silent - a.silent);
+  $('stations').replaceChildren(...silentFirst.map(stationCard));
   drawStations();
   showFindings();
   showParameters();
@@ -143,7 +148,7 @@ function stationCard(station) {
 function countsOf(station) {
   const rows = [[spanWords(line.days), station.span]];
   if (line.days > 1) rows.unshift(['24 h', station.day]);
-  const head = [element('span'), ...kKinds.map((kind) => element('span', { className: 'quiet' }, element('i', { className: kind }), kind))];
+  const head = [element('span'), ...kKinds.map((kind, i) => element('span', { className: 'quiet' }, element('i', { className: kind }), kKindWords[i]))];
   const cells = rows.flatMap(([words, counts]) => [words, ...kKinds.map((kind) => counts[kind].toLocaleString('en'))].map((textContent) => element('span', { textContent })));
   return element('div', { className: 'counts' }, ...head, ...cells);
 }
@@ -219,12 +224,12 @@ function parameterCard(parameter) {
   const { name, unit, lower, upper } = parameter;
   const findings = allFindings().filter((finding) => finding.parameter === name && finding.station !== undefined);
   const [low, high] = driftRange(parameter);
-  const limits = [lower === null ? '' : `from ${shortNumber(lower)}`, upper === null ? '' : `to ${shortNumber(upper)}`].filter(Boolean).join(' ') || 'none on record';
-  const changed = parameter.limits_changed ? '; they changed in this time, these are the newest check’s' : '';
-  const heading = element('div', { className: 'row-of heading' }, ...['station', 'brakes', 'Cpk (95 %)', `${periodWords(line.days)}: ${shortNumber(low, 3)} to ${shortNumber(high, 3)}`].map((textContent) => element('span', { textContent })));
+  const limits = lower !== null && upper !== null ? `${shortNumber(lower)} to ${shortNumber(upper)}` : lower !== null ? `from ${shortNumber(lower)}` : upper !== null ? `up to ${shortNumber(upper)}` : 'none on record';
+  const texts = [unitText(unit), `limits ${limits}${parameter.limits_changed ? ' (the newest: they changed)' : ''}`, `right ${shortNumber(low, 3)} to ${shortNumber(high, 3)}`];
+  const heading = element('div', { className: 'row-of heading' }, ...['station', 'brakes', 'Cpk (95 %)', periodWords(line.days)].map((textContent) => element('span', { textContent })));
   const rows = parameter.stations.map((station) => parameterRow(parameter, station, findings.find((finding) => finding.station === station.station)));
   const card = element('div', { className: 'card parameter-card' },
-                       element('h2', {}, `${parameterWords(name)} ${name} `, element('span', { className: 'quiet', textContent: `${unitText(unit)}; limits ${limits}${changed}` })),
+                       element('h2', { textContent: `${parameterWords(name)} ${name}` }), element('p', { className: 'quiet', textContent: texts.join('; ') }),
                        element('div', { className: 'stations-in' }, heading, ...rows));
   card.dataset.name = name;
   return card;
@@ -233,7 +238,7 @@ function parameterCard(parameter) {
 /** Marked by what is sure of it: `bad` below 1, and `low` below 4/3. */
 function cpkCell({ value, lower, upper }) {
   const kind = upper !== null && upper < 1 ? 'cpk bad' : value !== null && value < 4 / 3 ? 'cpk low' : 'cpk';
-  const interval = value === null ? '' : ` ${lower.toFixed(2)} … ${upper.toFixed(2)}`;
+  const interval = value === null ? '' : `${lower.toFixed(2)} … ${upper.toFixed(2)}`;
   return element('span', { className: kind }, element('b', { textContent: value === null ? '–' : value.toFixed(2) }), element('span', { className: 'quiet', textContent: interval }));
 }
 
@@ -313,4 +318,6 @@ addEventListener('resize', () => {
 });
 showChoices();
 refresh();
-setInterval(refresh, kEach_ms);
+setInterval(() => {
+  if (answered === asked) refresh();
+}, kEach_ms);
