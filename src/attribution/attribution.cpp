@@ -16,9 +16,9 @@ constexpr std::size_t kMostFindings = 20;
 /// Liang 1987: half of chi-square's probability).
 constexpr double kLikelihoodRise = 2.71;
 
-/// A station's level is no question where the stations' deviation is a smaller share than this of that of a check:
-/// the most likely variance is never quite zero.
-constexpr double kNegligibleShare = 0.01;
+/// A station's level is no question where the stations have a smaller share than this of the variance of a check: the
+/// most likely variance is never quite zero.
+constexpr double kNegligibleShare = 0.001;
 
 struct Candidate {
   Finding::Kind kind;
@@ -136,7 +136,7 @@ double stations_variance(const Deviations& found) {
   const auto square = [](double deviation) { return deviation * deviation; };
   const double all = square(found.repeat) + square(found.brake) + square(found.batch) + square(found.station) +
                      square(found.fixture) + square(found.period) + square(found.wander);
-  return square(found.station) < square(kNegligibleShare) * all ? 0.0 : square(found.station);
+  return square(found.station) < kNegligibleShare * all ? 0.0 : square(found.station);
 }
 
 /// Batches that went to one station only, most of them.

@@ -77,15 +77,34 @@ TEST(Attribution, NamesTheStationThatDrifts) {
   EXPECT_GE(right, 5);
 }
 
+TEST(Attribution, WhereStationsDoNotDifferTheirLevelsAreKnown) {
+  for (std::uint64_t seed = 0; seed < 10; ++seed) {
+    Factory factory;
+    factory.stations = 6;
+    factory.brakes = 1200;
+    factory.deviations.station = 0.0;
+    const LineTable table = make_line(factory, 650 + seed);
+    const LineAttribution found = attribute(table, kOptions);
+    // A spread that chance shows may leave a question, but none that takes more brakes than there are.
+    const int needed = found.parameters.at(0).brakes_needed;
+    EXPECT_LT(needed, factory.brakes) << seed;
+    EXPECT_EQ(attribution_json(table, found, 0.01)["cannot_tell"].get<std::string>().empty(), needed == 0) << seed;
+  }
+}
+
 TEST(Attribution, NamesTheBatchThatIsApart) {
   Factory factory;
   factory.apart_batch = 17;
   factory.apart = 4.0;
-  const std::vector<Finding> findings = findings_of(factory, 600);
+  const LineTable table = make_line(factory, 600);
+  const LineAttribution found = attribute(table, kOptions);
+  const std::vector<Finding>& findings = found.parameters.at(0).findings;
   ASSERT_EQ(findings.size(), 1u);
   EXPECT_EQ(findings[0].kind, Finding::Kind::BatchApart);
   EXPECT_EQ(findings[0].number, 17);
   EXPECT_NEAR(findings[0].size, 4.0, 1.5);
+  EXPECT_THAT(attribution_json(table, found, 0.01)["parameters"][0]["findings"][0]["words"],
+              HasSubstr("batch batch 17: k2 differs by +"));
 }
 
 TEST(Attribution, SaysWhenStationsCannotBeTold) {

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <csignal>
+#include <future>
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -85,7 +86,7 @@ TEST_F(ArchivePrograms, AWorkerSaysWhatItDoes) {
     pqxx::connection holder(server->connection());
     pqxx::work held(holder);
     held.exec("LOCK TABLE clampd.raw_runs IN ACCESS EXCLUSIVE MODE");
-    worker.start({CLAMPD_WORKER, "--config", config, "--name", "say \"me\"", "--metrics",
+    worker.start({CLAMPD_WORKER, "--config", config, "--name", "say \"me\"", "--serve",
                   fmt::format("127.0.0.1:{}", port)},
                  folder.path("worker.log"));
     EXPECT_TRUE(eventually([&] { return scraped("clampd_worker_connected 1"); }))
@@ -97,12 +98,56 @@ TEST_F(ArchivePrograms, AWorkerSaysWhatItDoes) {
   const support::Outcome second = support::run_command(
       fmt::format("{} --config {} --until-empty --metrics 127.0.0.1:{}", CLAMPD_WORKER, config, port));
   EXPECT_EQ(second.exit_code, 2);
-  EXPECT_THAT(second.output, HasSubstr(fmt::format("--metrics 127.0.0.1:{}: ", port)));
+  EXPECT_THAT(second.output, HasSubstr(fmt::format("--serve 127.0.0.1:{}: ", port)));
   for (const char* wrong : {"8372", ":8372", "127.0.0.1:", "127.0.0.1:99999", "127.0.0.1:83x"})
     EXPECT_THAT(support::run_command(
                     fmt::format("{} --config {} --until-empty --metrics {}", CLAMPD_WORKER, config, wrong))
                     .output,
                 HasSubstr("give an address and a port"));
+  worker.end(SIGTERM);
+}
+
+TEST_F(ArchivePrograms, AWorkerAnswersWhileTheDatabaseKeepsThePageOfTheLineWaiting) {
+  ask("UPDATE clampd.checks SET started = started + (clock_timestamp() - (SELECT max(started) FROM clampd.checks))");
+  const int port = support::free_port();
+  support::ServerProcess worker;
+  worker.start({CLAMPD_WORKER, "--config", config, "--name", "page", "--serve", fmt::format("127.0.0.1:{}", port)},
+               folder.path("worker.log"));
+  const auto answer = [port](const std::string& path) {
+    http::Call call{"GET", path};
+    call.answer_within = std::chrono::seconds(60);
+    return http::exchange("127.0.0.1", port, call).value_or(http::Answer{});
+  };
+  ASSERT_TRUE(eventually([&] {
+    return answer("/metrics").body.find("\nclampd_worker_connected 1\n") != std::string::npos;
+  })) << folder.read("worker.log");
+  std::future<http::Answer> document;
+  {
+    pqxx::connection holder(server->connection());
+    pqxx::work held(holder);
+    held.exec("LOCK TABLE clampd.checks IN ACCESS EXCLUSIVE MODE");
+    document = std::async(std::launch::async, [&] { return answer("/line.json?days=90"); });
+    EXPECT_TRUE(eventually([&] {
+      return ask("SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock'") == "1";
+    }));
+    EXPECT_THAT(answer("/metrics").body, HasSubstr("clampd_worker_connected 1"));
+    EXPECT_THAT(answer("/").body, HasSubstr("<title>clampd line</title>"));
+    EXPECT_EQ(document.wait_for(std::chrono::seconds(0)), std::future_status::timeout);
+  }
+  const http::Answer page = document.get();
+  ASSERT_EQ(page.status, 200) << page.body;
+  const auto line = nlohmann::json::parse(page.body);
+  EXPECT_EQ(line["schema"], "clampd.line_page/1");
+  EXPECT_EQ(line["worker"], "page");
+  EXPECT_EQ(line["checks"], 4);
+  EXPECT_EQ(line["stations"][1]["station"], "south");
+  EXPECT_EQ(answer("/line.json?days=31").status, 400);
+  EXPECT_EQ(answer("/line.json?part_number=" + std::string(201, 'x')).status, 400);
+  EXPECT_EQ(answer("/lines").status, 404);
+  ask("ALTER TABLE clampd.parameters RENAME TO elsewhere");
+  const http::Answer refused = answer("/line.json?days=1");
+  EXPECT_EQ(refused.status, 503);
+  EXPECT_THAT(nlohmann::json::parse(refused.body)["error"], HasSubstr("clampd.parameters"));
   worker.end(SIGTERM);
 }
 
