@@ -1,5 +1,7 @@
 // The page of the line in real Chromium, in front of a worker with a database of its own.
 
+#include <csignal>
+#include <cstdlib>
 #include <filesystem>
 #include <optional>
 #include <string>

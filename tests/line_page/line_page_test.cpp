@@ -1,6 +1,8 @@
 #include "clampd/line_page/line_page.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <limits>
 #include <random>
 
 #include <fmt/format.h>

@@ -1,5 +1,8 @@
 #include "clampd/reanalysis/line_archive.hpp"
 
+#include <algorithm>
+#include <cmath>
+
 #include <gmock/gmock.h>
 
 #include "reanalysis/archive_fixture.hpp"

@@ -70,9 +70,9 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   std::string serve_at;
   app.add_option("--serve,--metrics", serve_at,
-                 "serve the page of the line at http://ADDRESS:PORT/ (stations, drift, capability side by side, "
-                 "who does what), the document that it is drawn from at /line.json, and what this worker does "
-                 "at /metrics, for Prometheus")
+                 "serve the page of the line at http://ADDRESS:PORT/ (stations, drift, capability side by "
+                 "side, who does what), the document that it is drawn from at /line.json, and what this "
+                 "worker does at /metrics, for Prometheus")
       ->type_name("ADDRESS:PORT");
   app.add_option("--name", options.name, "of this worker, in the queue and with its results")
       ->capture_default_str();

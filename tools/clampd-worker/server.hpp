@@ -3,6 +3,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <variant>
 
 #include "clampd/base/result.hpp"
 #include "clampd/http/server.hpp"

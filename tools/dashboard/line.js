@@ -76,12 +76,9 @@ function want(name, value) {
 
 function showChoices() {
   const days = Number(wanted.get('days') ?? 30);
-  $('spans').replaceChildren(...kSpans.map(([span, words]) => {
-    const button = element('button', { type: 'button', textContent: words, ariaPressed: String(span === days) });
-    button.addEventListener('click', () => want('days', span));
-    return button;
-  }));
-  if (!line) return;
+  for (const button of $('spans').children) button.setAttribute('aria-pressed', Number(button.value) === days);
+  // Whoever chooses a part at this moment keeps the list.
+  if (!line || document.activeElement === $('part')) return;
   const chosen = wanted.get('part_number') ?? line.part_number;
   const parts = line.part_numbers.map((part) => part.part_number);
   const options = (parts.includes(chosen) ? parts : [chosen, ...parts]).map((part) => {
@@ -310,7 +307,15 @@ function jobRow(job) {
                  ...job.failures.map((failure) => element('span', { className: 'why', textContent: `${failure.tasks} failed: ${failure.reason}` })));
 }
 
-$('part').addEventListener('change', () => want('part_number', $('part').value));
+$('spans').append(...kSpans.map(([days, textContent]) => {
+  const button = element('button', { type: 'button', value: days, textContent });
+  button.addEventListener('click', () => want('days', days));
+  return button;
+}));
+$('part').addEventListener('change', () => {
+  $('part').blur();
+  want('part_number', $('part').value);
+});
 addEventListener('resize', () => {
   if (!line) return;
   drawStations();
