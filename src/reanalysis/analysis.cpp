@@ -9,11 +9,14 @@
 #include "clampd/archive/compression.hpp"
 #include "clampd/base/json.hpp"
 #include "clampd/base/version.hpp"
+#include "clampd/diagnose/diagnosis.hpp"
+#include "clampd/diagnose/effect_scores.hpp"
 #include "clampd/identify/method.hpp"
 #include "clampd/record/checksum.hpp"
 #include "clampd/station/evidence.hpp"
 #include "clampd/station/verdict.hpp"
 #include "clampd/station/worker.hpp"
+#include "clampd/views/diagnosis_json.hpp"
 
 namespace clampd::reanalysis {
 namespace {
@@ -125,8 +128,18 @@ ordered_json estimate_json(const Estimate& joint) {
             {"log_likelihood", number_or_null(joint.log_likelihood)}}}};
 }
 
+std::string text_of(const ordered_json& document) {
+  return document.dump(-1, ' ', false, ordered_json::error_handler_t::replace);
+}
+
+std::vector<Run> taken_out(std::vector<CollectedRun> collected) {
+  std::vector<Run> runs;
+  for (CollectedRun& each : collected) runs.push_back(std::move(each.run));
+  return runs;
+}
+
 /// Nothing if it was given up.
-std::optional<IdentificationWorker::Outcome> identify(std::vector<CollectedRun> runs, const Task& task,
+std::optional<IdentificationWorker::Outcome> identify_runs(std::vector<CollectedRun> runs, const Task& task,
                                                       const std::function<bool()>& given_up) {
   EstimatorOptions options;  // one thread: workers stand beside each other, not threads
   options.start = task.nominal;
@@ -140,37 +153,42 @@ std::optional<IdentificationWorker::Outcome> identify(std::vector<CollectedRun> 
   return worker.finish();
 }
 
-}  // namespace
-
-Result<std::vector<CollectedRun>> unpack_runs(const ArchivedCheck& check) {
-  std::vector<CollectedRun> runs;
-  for (const ArchivedRun& archived : check.runs) {
-    const std::string where = fmt::format("check {}, {}", check.id, archived.name);
-    if (!archived.data)
-      return failure(where +
-                     ": its raw data are not in the database: they were dropped, or never published "
-                     "([postgresql] raw_runs)");
-    const Result<std::string> text = decompressed(*archived.data);
-    if (!text) return failure(fmt::format("{}: its raw data are damaged: {}", where, text.error().message));
-    if (const std::string found = sha256_hex(*text); found != archived.sha256)
-      return failure(
-          fmt::format("{}: its raw data are not those of the check: their SHA-256 is {}, on record "
-                      "is {}",
-                      where, found, archived.sha256));
-    Result<LoadedRun> run = parse_run(*text, archived.name);
-    if (!run) return failure(fmt::format("check {}: {}", check.id, run.error().message));
-    runs.push_back({.run = std::move(run->run),
-                    .repeat = static_cast<std::uint16_t>(runs.size()),
-                    .tracking_rms_N = archived.tracking_rms_N,
-                    .tracking_max_N = archived.tracking_max_N});
-  }
-  return runs;
+/// With a null diagnosis if it was given up.
+Result<ordered_json> diagnosis_of(const ArchivedCheck& check, const std::vector<Run>& runs, const Task& task,
+                                  const std::function<bool()>& given_up) {
+  DiagnoseOptions options;
+  options.nominal = task.nominal;
+  options.threads = 1;
+  options.given_up = given_up;
+  if (check.tare_force_sd_N && check.tare_velocity_sd_rad_s)
+    options.tare_sd = SensorNoise{*check.tare_force_sd_N, *check.tare_velocity_sd_rad_s};
+  const Result<Diagnosis> diagnosis = diagnose(runs, options);
+  if (given_up()) return ordered_json(nullptr);
+  if (!diagnosis) return tl::unexpected(diagnosis.error());
+  ordered_json document = diagnosis_json(*diagnosis, {.runs = runs.size()});
+  document.erase("wall_s");
+  return document;
 }
 
-std::optional<std::string> analyse(const ArchivedCheck& check, std::vector<CollectedRun> runs,
-                                   const Task& task, const std::string& task_sha256,
-                                   const std::function<bool()>& given_up) {
-  const std::optional<IdentificationWorker::Outcome> outcome = identify(std::move(runs), task, given_up);
+Result<ordered_json> scores_of(const std::vector<Run>& runs, const Task& task) {
+  const Result<std::vector<EffectScore>> scores = score_effects(runs, task.nominal);
+  if (!scores) return tl::unexpected(scores.error());
+  ordered_json list = ordered_json::array();
+  for (const EffectScore& score : *scores) {
+    const EffectInfo& info = info_of(*score.effect.effect);
+    list.push_back({{"effect", info.name},
+                    {"parameter", info.parameters[score.parameter].name},
+                    {"at", score.effect.values},
+                    {"score", number_or_null(score.score)},
+                    {"information", number_or_null(score.information)}});
+  }
+  return list;
+}
+
+std::optional<std::string> identify_check(const ArchivedCheck& check, std::vector<CollectedRun> runs,
+                                          const Task& task, const std::string& task_sha256,
+                                          const std::function<bool()>& given_up) {
+  const std::optional<IdentificationWorker::Outcome> outcome = identify_runs(std::move(runs), task, given_up);
   if (!outcome) return std::nullopt;
   const Estimate& joint = outcome->joint;
   const Tare tare = tare_of(check, task);
@@ -203,7 +221,53 @@ std::optional<std::string> analyse(const ArchivedCheck& check, std::vector<Colle
       {"task_sha256", task_sha256},
       {"software_version", kVersion},
       {"runs", runs_json(outcome->runs)}};
-  return document.dump(-1, ' ', false, ordered_json::error_handler_t::replace);
+  return text_of(document);
+}
+
+}  // namespace
+
+Result<std::vector<CollectedRun>> unpack_runs(const ArchivedCheck& check) {
+  std::vector<CollectedRun> runs;
+  for (const ArchivedRun& archived : check.runs) {
+    const std::string where = fmt::format("check {}, {}", check.id, archived.name);
+    if (!archived.data)
+      return failure(where +
+                     ": its raw data are not in the database: they were dropped, or never published "
+                     "([postgresql] raw_runs)");
+    const Result<std::string> text = decompressed(*archived.data);
+    if (!text) return failure(fmt::format("{}: its raw data are damaged: {}", where, text.error().message));
+    if (const std::string found = sha256_hex(*text); found != archived.sha256)
+      return failure(
+          fmt::format("{}: its raw data are not those of the check: their SHA-256 is {}, on record "
+                      "is {}",
+                      where, found, archived.sha256));
+    Result<LoadedRun> run = parse_run(*text, archived.name);
+    if (!run) return failure(fmt::format("check {}: {}", check.id, run.error().message));
+    runs.push_back({.run = std::move(run->run),
+                    .repeat = static_cast<std::uint16_t>(runs.size()),
+                    .tracking_rms_N = archived.tracking_rms_N,
+                    .tracking_max_N = archived.tracking_max_N});
+  }
+  return runs;
+}
+
+Result<std::optional<std::string>> analyse(const ArchivedCheck& check, std::vector<CollectedRun> runs,
+                                           const Task& task, const std::string& task_sha256,
+                                           const std::function<bool()>& given_up) {
+  if (task.kind == Task::Kind::Identify)
+    return identify_check(check, std::move(runs), task, task_sha256, given_up);
+  const std::vector<Run> recorded = taken_out(std::move(runs));
+  const bool scores = task.kind == Task::Kind::ScoreEffects;
+  const Result<ordered_json> found =
+      scores ? scores_of(recorded, task) : diagnosis_of(check, recorded, task, given_up);
+  if (!found) return tl::unexpected(found.error());
+  if (given_up() || found->is_null()) return std::nullopt;
+  return text_of({{"schema", scores ? "clampd.effect_scores/1" : "clampd.archived_diagnosis/1"},
+                  {"record", check.id},
+                  {"serial", check.serial},
+                  {scores ? "scores" : "diagnosis", *found},
+                  {"task_sha256", task_sha256},
+                  {"software_version", kVersion}});
 }
 
 }  // namespace clampd::reanalysis

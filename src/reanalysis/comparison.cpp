@@ -47,10 +47,19 @@ void add_move(const std::string& check, const json& before, const json& after,
         std::max(moved.largest_sd, sd > 0.0 ? std::abs(move) / sd : std::numeric_limits<double>::infinity());
 }
 
+/// Diagnoses and scores do not; what was recorded has no schema.
+bool identifies_parameters(const json& document) {
+  return document.value("schema", "clampd.reanalysis/1") == "clampd.reanalysis/1";
+}
+
 /// Throws what nlohmann::json throws.
-void add_check(const ComparedCheck& check, Comparison& comparison) {
+Result<void> add_check(const ComparedCheck& check, Comparison& comparison) {
   const json before = json::parse(check.before);
   const json after = json::parse(check.document);
+  if (!identifies_parameters(before) || !identifies_parameters(after))
+    return failure(fmt::format("check {}: a job of diagnoses or scores identifies no parameters that could be compared: see "
+                               "`clampctl archive results` and `clampctl archive population`",
+                               check.check));
   ++comparison.checks;
   if (before.at("verdict") != after.at("verdict"))
     comparison.verdicts.push_back(
@@ -58,6 +67,7 @@ void add_check(const ComparedCheck& check, Comparison& comparison) {
   for (const json& parameter : after.at("parameters"))
     if (const json* earlier = find_parameter_in(before, parameter.at("name")))
       add_move(check.check, *earlier, parameter, comparison.parameters);
+  return {};
 }
 
 }  // namespace
@@ -65,7 +75,7 @@ void add_check(const ComparedCheck& check, Comparison& comparison) {
 Result<Comparison> compare(const std::vector<ComparedCheck>& checks) {
   Comparison comparison;
   for (const ComparedCheck& check : checks) try {
-      add_check(check, comparison);
+      if (const Result<void> added = add_check(check, comparison); !added) return tl::unexpected(added.error());
     } catch (const json::exception& wrong) {
       return failure(fmt::format("check {}: its result cannot be read: {}", check.check, wrong.what()));
     }

@@ -71,6 +71,11 @@ FROM clampd.queue q JOIN clampd.results r ON r.id = q.result_id JOIN clampd.chec
 JOIN clampd.queue o ON o.check_id = q.check_id AND o.job_id = $2 JOIN clampd.results b ON b.id = o.result_id
 WHERE q.job_id = $1 ORDER BY q.check_id)sql";
 
+constexpr const char* kScored = R"sql(
+SELECT q.check_id, c.serial, c.station, COALESCE(c.fixture, ''), COALESCE(c.batch, ''), r.document
+FROM clampd.queue q JOIN clampd.results r ON r.id = q.result_id JOIN clampd.checks c ON c.id = q.check_id
+WHERE q.job_id = $1 ORDER BY c.started, q.check_id)sql";
+
 constexpr std::size_t kDate = 10;  // YYYY-MM-DD
 
 ordered_json selection_json(const Selection& selection) {
@@ -248,6 +253,16 @@ Result<std::vector<ComparedCheck>> Jobs::compared(std::int64_t job, std::optiona
                                        : transaction.exec_params(kWithRecorded, job);
         for (const pqxx::row& row : rows)
           checks.push_back({row[0].c_str(), row[1].c_str(), row[2].c_str(), row[3].c_str()});
+      })
+      .map([&] { return std::move(checks); });
+}
+
+Result<std::vector<ScoredCheck>> Jobs::scored(std::int64_t job) {
+  std::vector<ScoredCheck> checks;
+  return connection_
+      ->transact([&](pqxx::work& transaction) {
+        for (const pqxx::row& row : transaction.exec_params(kScored, job))
+          checks.push_back({row[0].c_str(), row[1].c_str(), row[2].c_str(), row[3].c_str(), row[4].c_str(), row[5].c_str()});
       })
       .map([&] { return std::move(checks); });
 }

@@ -1,6 +1,8 @@
 #include "clampd/reanalysis/task.hpp"
 
+#include <array>
 #include <filesystem>
+#include <optional>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -13,7 +15,13 @@ namespace {
 using nlohmann::ordered_json;
 
 constexpr const char* kSchema = "clampd.task/1";
-constexpr const char* kKind = "identify";
+constexpr std::array kKinds{Task::Kind::Identify, Task::Kind::Diagnose, Task::Kind::ScoreEffects};
+
+std::optional<Task::Kind> parse_kind(const std::string& name) {
+  for (const Task::Kind kind : kKinds)
+    if (to_string(kind) == name) return kind;
+  return std::nullopt;
+}
 
 ordered_json validity_json(const ValiditySettings& validity) {
   return {{"skipped_ticks_max", validity.skipped_ticks_max},
@@ -37,20 +45,24 @@ ValiditySettings validity_of(const ordered_json& document) {
 Result<Task> task_of(const ordered_json& document) {
   const std::string schema = document.at("schema");
   const std::string kind = document.at("kind");
-  if (schema != kSchema || kind != kKind)
+  const std::optional<Task::Kind> known = parse_kind(kind);
+  if (schema != kSchema || !known)
     return failure(
-        fmt::format("the task is a {} of the kind {}; this version knows {} of the kind {}: use a "
-                    "newer version",
-                    schema, kind, kSchema, kKind));
+        fmt::format("the task is a {} of the kind {}; this version knows {} of the kinds identify, diagnose and "
+                    "score-effects: use a newer version",
+                    schema, kind, kSchema));
   Task task;
-  const std::string name = document.at("method");
-  const std::optional<Method> method = parse_method(name);
-  if (!method) return failure(fmt::format("the task's method is '{}'; known are oem and pem", name));
-  task.method = *method;
+  task.kind = *known;
   const Result<ExtendedParameters> nominal =
       parse_extended_parameters(document.at("nominal").get<std::string>(), "the task's nominal brake");
   if (!nominal) return tl::unexpected(nominal.error());
   task.nominal = nominal->base;
+  document.at("tare_samples").get_to(task.tare_samples);
+  if (task.kind != Task::Kind::Identify) return task;
+  const std::string name = document.at("method");
+  const std::optional<Method> method = parse_method(name);
+  if (!method) return failure(fmt::format("the task's method is '{}'; known are oem and pem", name));
+  task.method = *method;
   if (!document.at("model").is_null()) {
     Result<ExtendedParameters> model =
         parse_extended_parameters(document.at("model").get<std::string>(), "the task's model");
@@ -65,25 +77,38 @@ Result<Task> task_of(const ordered_json& document) {
       !usable)
     return tl::unexpected(usable.error());
   task.validity = validity_of(document.at("validity"));
-  document.at("tare_samples").get_to(task.tare_samples);
   return task;
 }
 
 }  // namespace
 
+std::string_view to_string(Task::Kind kind) noexcept {
+  switch (kind) {
+    case Task::Kind::Identify:
+      return "identify";
+    case Task::Kind::Diagnose:
+      return "diagnose";
+    case Task::Kind::ScoreEffects:
+      return "score-effects";
+  }
+  return "unknown";
+}
+
 std::string format_task(const Task& task) {
-  // The folder of a limits file says nothing about what is to be done.
-  const std::string file = std::filesystem::path(task.limits.file).filename();
-  return ordered_json{
-      {"schema", kSchema},
-      {"kind", kKind},
-      {"method", to_string(task.method)},
-      {"nominal", format_extended_parameters({task.nominal, {}})},
-      {"model", task.model ? ordered_json(format_extended_parameters(*task.model)) : ordered_json(nullptr)},
-      {"limits", {{"file", file}, {"text", task.limits.contents}}},
-      {"validity", validity_json(task.validity)},
-      {"tare_samples", task.tare_samples}}
-      .dump(1, ' ', false, ordered_json::error_handler_t::replace);
+  ordered_json document{{"schema", kSchema},
+                        {"kind", to_string(task.kind)},
+                        {"nominal", format_extended_parameters({task.nominal, {}})},
+                        {"tare_samples", task.tare_samples}};
+  if (task.kind == Task::Kind::Identify) {
+    // The folder of a limits file says nothing about what is to be done.
+    const std::string file = std::filesystem::path(task.limits.file).filename();
+    document["method"] = to_string(task.method);
+    document["model"] =
+        task.model ? ordered_json(format_extended_parameters(*task.model)) : ordered_json(nullptr);
+    document["limits"] = {{"file", file}, {"text", task.limits.contents}};
+    document["validity"] = validity_json(task.validity);
+  }
+  return document.dump(1, ' ', false, ordered_json::error_handler_t::replace);
 }
 
 Result<Task> parse_task(const std::string& document) {

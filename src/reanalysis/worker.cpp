@@ -124,15 +124,16 @@ Result<void> Worker::perform(const Claim& claim) {
   Result<std::vector<CollectedRun>> runs = unpack_runs(*check);
   if (!runs) return settle_failure(claim, runs.error().message);
 
-  std::optional<std::string> document;
+  Result<std::optional<std::string>> document = std::nullopt;
   {
     const Heartbeat heartbeat(options_.database, claim, options_.lease);
     document = analyse(*check, std::move(*runs), **task, claim.task_sha256,
                        [&] { return heartbeat.lost() || wake_.stopped(); });
   }
-  if (document)
+  if (!document) return settle_failure(claim, document.error().message);
+  if (*document)
     return settle(
-        claim, [&] { return queue_.finish(claim, *document, options_.name); }, summary_.done);
+        claim, [&] { return queue_.finish(claim, **document, options_.name); }, summary_.done);
   return settle(
       claim, [&] { return queue_.give_back(claim); }, summary_.given_back);
 }

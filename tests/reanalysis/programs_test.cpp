@@ -219,6 +219,28 @@ TEST_F(ArchivePrograms, AJobFromItsSubmissionToWhatChanged) {
   EXPECT_NE(other["parameters"][0]["largest"], 0.0) << "two methods";
 }
 
+TEST_F(ArchivePrograms, AJobOfScoresIsReadAsAPopulation) {
+  support::Outcome said = clampctl("submit --score-effects --json");
+  ASSERT_EQ(said.exit_code, 0) << said.output;
+  said = clampctl("population last");
+  EXPECT_EQ(said.exit_code, 2);
+  EXPECT_THAT(said.output, HasSubstr("no check is done yet"));
+  EXPECT_EQ(worker_until_empty().exit_code, 0);
+  said = clampctl("population last --json");
+  ASSERT_EQ(said.exit_code, 0) << said.output;
+  const auto found = nlohmann::json::parse(said.output);
+  EXPECT_EQ(found["schema"], "clampd.population/1");
+  EXPECT_EQ(found["checks"], 4);
+  EXPECT_TRUE(found["findings"].empty()) << "four checks tell nothing";
+  EXPECT_THAT(clampctl("population last").output, HasSubstr("Neither the line nor any station"));
+  EXPECT_THAT(clampctl("results last").output, HasSubstr("EMB-0002"));
+  said = clampctl("compare last");
+  EXPECT_EQ(said.exit_code, 2);
+  EXPECT_THAT(said.output, HasSubstr("identifies no parameters"));
+  EXPECT_EQ(clampctl("submit --score-effects --diagnose").exit_code, 2);
+  EXPECT_EQ(clampctl("submit --diagnose --limits x.toml").exit_code, 2);
+}
+
 TEST_F(ArchivePrograms, SayWhatIsWrong) {
   support::Outcome said = clampctl("results last");
   EXPECT_EQ(said.exit_code, 2);

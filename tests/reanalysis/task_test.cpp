@@ -35,6 +35,22 @@ TEST(Task, ReadsWhatItWrites) {
   EXPECT_EQ(format_task(*read), document);
 }
 
+// So that the same question is answered once, whatever limits the station has.
+TEST(Task, OfDiagnosesAndScoresDoesNotDependOnLimits) {
+  for (const Task::Kind kind : {Task::Kind::Diagnose, Task::Kind::ScoreEffects}) {
+    Task task = an_odd_task();
+    task.kind = kind;
+    const std::string document = format_task(task);
+    const Result<Task> read = parse_task(document);
+    ASSERT_TRUE(read) << read.error().message;
+    EXPECT_EQ(read->kind, kind);
+    EXPECT_EQ(read->nominal.theta, task.nominal.theta);
+    task.limits = {};
+    task.validity = {};
+    EXPECT_EQ(format_task(task), document);
+  }
+}
+
 TEST(Task, DoesNotDependOnTheFolderOfItsLimits) {
   Task task = an_odd_task();
   task.limits.file = "/somewhere/else/limits.toml";

@@ -1,11 +1,13 @@
 #include "clampd/reanalysis/worker.hpp"
 
+#include <algorithm>
 #include <mutex>
 #include <thread>
 
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
+#include "clampd/reanalysis/population.hpp"
 #include "reanalysis/archive_fixture.hpp"
 #include "support/eventually.hpp"
 
@@ -53,6 +55,69 @@ TEST_F(ArchiveWorkers, FindWhatTheStationFound) {
       EXPECT_EQ(found["runs"][k]["sha256"], check.runs[k].checksum_sha256);
   }
   EXPECT_TRUE(has_failed_brake);
+}
+
+/// The rubbing brake is one of the same model: its friction explains it. What a diagnosis says does not depend on its time.
+TEST_F(ArchiveWorkers, DiagnoseChecks) {
+  publish(checks_of_a_station());
+  Task diagnoses;
+  diagnoses.kind = Task::Kind::Diagnose;
+  submit(diagnoses, {.serials = {"EMB-0003"}});
+  EXPECT_EQ(run(worker("one")).done, 1);
+  const auto found = nlohmann::json::parse(documents().at(0));
+  EXPECT_EQ(found["schema"], "clampd.archived_diagnosis/1");
+  EXPECT_EQ(found["serial"], "EMB-0003");
+  EXPECT_EQ(found["diagnosis"]["verdict"], "adequate");
+  EXPECT_FALSE(found["diagnosis"].contains("wall_s"));
+}
+
+TEST_F(ArchiveWorkers, AskEachCheckAboutEveryEffect) {
+  publish(checks_of_a_station());
+  Task scores;
+  scores.kind = Task::Kind::ScoreEffects;
+  const std::int64_t job = submit(scores);
+  EXPECT_EQ(run(worker("one")).done, 4);
+  auto checks = jobs().scored(job);
+  ASSERT_TRUE(checks) << checks.error().message;
+  ASSERT_EQ(checks->size(), 4U);
+  EXPECT_EQ(checks->at(2).serial, "EMB-0003");
+  EXPECT_EQ(checks->at(2).station, "south");
+  checks->push_back(checks->front());
+  const auto population = population_of(*checks);
+  ASSERT_TRUE(population) << population.error().message;
+  EXPECT_EQ(population->repeated, 1) << "a brake counts once at each station";
+  EXPECT_EQ(population->directions.size(), effects_with_strengths().size());
+  EXPECT_EQ(population->table.score.rows(), 4);
+  EXPECT_EQ(population->table.information.cols(), static_cast<Eigen::Index>(population->table.directions.size()));
+  EXPECT_GT(population->table.information.col(0).minCoeff(), 0.0);
+  ASSERT_EQ(population->table.groups.size(), 3U);
+  EXPECT_EQ(population->table.groups[2].name, "south");
+  EXPECT_EQ(population->table.groups[2].checks, (std::vector<int>{2, 3}));
+  for (const attribution::Direction& direction : population->table.directions)
+    EXPECT_EQ(std::count_if(population->table.directions.begin(), population->table.directions.end(),
+                            [&](const auto& other) { return other.name == direction.name; }),
+              1)
+        << direction.name;
+}
+
+TEST(ArchivedPopulation, IsOfOneVersionAndOfScoresOnly) {
+  const auto error = [](const std::vector<std::string>& documents) {
+    std::vector<ScoredCheck> checks;
+    for (const std::string& document : documents)
+      checks.push_back({fmt::format("check-{}", checks.size()), fmt::format("EMB-{}", checks.size()), "north", "", "", document});
+    const auto population = population_of(checks);
+    return population ? std::string("none") : population.error().message;
+  };
+  const auto of = [](const char* effect, const char* parameter) {
+    return fmt::format(R"({{"schema":"clampd.effect_scores/1","scores":[{{"effect":"{}","parameter":"{}","at":[0],"score":1,"information":4}}]}})",
+                       effect, parameter);
+  };
+  EXPECT_EQ(error({of("backlash", "play")}), "none");
+  EXPECT_THAT(error({of("backlash", "play"), of("force-lag", "time_constant")}), HasSubstr("check check-1: its result is of a version"));
+  EXPECT_THAT(error({of("levitation", "height")}), HasSubstr("there is no effect levitation"));
+  EXPECT_THAT(error({of("backlash", "colour")}), HasSubstr("has no colour"));
+  EXPECT_THAT(error({R"({"schema":"clampd.reanalysis/1"})"}), HasSubstr("submit a job with --score-effects"));
+  EXPECT_THAT(error({"{"}), HasSubstr("cannot be read"));
 }
 
 TEST_F(ArchiveWorkers, ShareTheTasksAndWriteTheSameTexts) {

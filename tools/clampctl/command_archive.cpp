@@ -13,8 +13,10 @@
 #include "clampd/reanalysis/comparison.hpp"
 #include "clampd/reanalysis/database.hpp"
 #include "clampd/reanalysis/jobs.hpp"
+#include "clampd/reanalysis/population.hpp"
 #include "clampd/reanalysis/task.hpp"
 #include "clampd/record/file.hpp"
+#include "clampd/views/population_view.hpp"
 #include "tools/clampctl/command.hpp"
 #include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
@@ -36,8 +38,11 @@ struct ArchiveOptions {
   std::string model;
   std::string limits;
   reanalysis::Selection selection;
+  bool diagnose = false;
+  bool score_effects = false;
   std::string with;
   std::string csv;
+  double false_alarms = 0.01;
   bool json = false;
 };
 
@@ -51,8 +56,12 @@ Result<Jobs> open_jobs(const CommonOptions& common, bool may_migrate) {
 Result<reanalysis::Task> task_of(const ArchiveOptions& options, const StationConfiguration& configuration) {
   reanalysis::Task task;
   task.nominal = configuration.model;
-  task.validity = configuration.validity;
   task.tare_samples = static_cast<std::uint64_t>(std::lround(configuration.check.tare_s / kPeriod_s));
+  task.kind = options.diagnose        ? reanalysis::Task::Kind::Diagnose
+              : options.score_effects ? reanalysis::Task::Kind::ScoreEffects
+                                      : reanalysis::Task::Kind::Identify;
+  if (task.kind != reanalysis::Task::Kind::Identify) return task;
+  task.validity = configuration.validity;
   task.method = options.method.empty() ? configuration.check.method
                                        : parse_method(options.method).value_or(task.method);
   const std::string& model = options.model.empty() ? configuration.check.model : options.model;
@@ -155,6 +164,16 @@ std::string csv_number(const ordered_json& number) {
   return number.is_number() ? number.dump() : "";
 }
 
+/// Of any kind of job; a job of scores has no verdicts.
+std::string verdict_of(const ordered_json& document) {
+  return document.contains("diagnosis") ? document["diagnosis"].value("verdict", "") : document.value("verdict", "");
+}
+
+std::string reason_of(const ordered_json& document) {
+  if (document.contains("diagnosis")) return document["diagnosis"].value("summary", "");
+  return document.value("reason", document.contains("scores") ? "see `clampctl archive population`" : "");
+}
+
 /// One row a check, the seven parameters with their deviations; empty fields where there is no estimate.
 std::string results_csv(const std::vector<JobResult>& results) {
   std::string text = "record,state,serial,verdict,marginal,reason,software_version,task_sha256";
@@ -165,8 +184,8 @@ std::string results_csv(const std::vector<JobResult>& results) {
     const ordered_json document = ordered_json::parse(result.document.empty() ? "{}" : result.document);
     const auto word = [&](const char* key) { return csv_field(document.value(key, std::string())); };
     text += fmt::format("{},{},{},{},{},{},{},{}", csv_field(result.check), result.state, word("serial"),
-                        word("verdict"), document.contains("marginal") ? document["marginal"].dump() : "",
-                        result.reason.empty() ? word("reason") : csv_field(result.reason),
+                        csv_field(verdict_of(document)), document.contains("marginal") ? document["marginal"].dump() : "",
+                        csv_field(result.reason.empty() ? reason_of(document) : result.reason),
                         word("software_version"), word("task_sha256"));
     const ordered_json parameters = document.value("parameters", ordered_json::array());
     for (std::size_t i = 0; i < kParameterCount; ++i)
@@ -196,8 +215,8 @@ void print_results(const std::vector<JobResult>& results) {
       continue;
     }
     const ordered_json document = ordered_json::parse(result.document);
-    fmt::print("{}  {:<16} {:<5} {}\n", result.check, document["serial"].get<std::string>(),
-               document["verdict"].get<std::string>(), document["reason"].get<std::string>());
+    fmt::print("{}  {:<16} {:<5} {}\n", result.check, document["serial"].get<std::string>(), verdict_of(document),
+               reason_of(document));
   }
 }
 
@@ -279,6 +298,32 @@ int show_comparison(const ArchiveOptions& options, const CommonOptions& common) 
   return cli::kSuccess;
 }
 
+int show_population(const ArchiveOptions& options, const CommonOptions& common) {
+  Result<Jobs> jobs = open_jobs(common, false);
+  if (!jobs) return cli::refuse(jobs.error());
+  const Result<std::int64_t> job = jobs->find(options.job);
+  if (!job) return cli::refuse(job.error());
+  const Result<JobStatus> status = jobs->status(*job);
+  if (!status) return cli::refuse(status.error());
+  const Result<reanalysis::Population> population =
+      jobs->scored(*job).and_then([](const auto& checks) { return reanalysis::population_of(checks); });
+  if (!population) return cli::refuse(population.error());
+  if (population->directions.empty())
+    return cli::refuse({fmt::format("job {}: no check is done yet: let `clampd-worker` work, and see `clampctl archive status {}`",
+                                    *job, *job)});
+  if (const std::int64_t missing = status->all() - status->done; missing > 0)
+    cli::print_notice(fmt::format("{} of the job's {} checks are not done and do not count", missing, status->all()));
+  if (population->repeated > 0)
+    cli::print_notice(fmt::format("{} checks of brakes that the same station had checked before do not count", population->repeated));
+  const attribution::PopulationResult result =
+      attribution::attribute_effects(population->table, {.false_alarms = options.false_alarms});
+  if (options.json)
+    fmt::print("{}\n", population_json(population->table, population->directions, result, options.false_alarms).dump(2));
+  else
+    fmt::print("{}", format_population(population->table, population->directions, result, options.false_alarms));
+  return cli::kSuccess;
+}
+
 /// `retry` and `cancel`.
 int change(const ArchiveOptions& options, const CommonOptions& common,
            Result<std::int64_t> (Jobs::*action)(std::int64_t), const char* words) {
@@ -330,6 +375,13 @@ void add_submit(CLI::App& archive, const CommonOptions& common, int& exit_code) 
   command->get_option("--method")->excludes(model);
   command->add_option("--limits", options->limits, "judge by these limits (default: the configuration's)")
       ->type_name("LIMITS.toml");
+  CLI::Option* diagnose = command->add_flag("--diagnose", options->diagnose,
+                                            "diagnose each check instead: what the base model gets wrong, by name");
+  CLI::Option* scores = command->add_flag("--score-effects", options->score_effects,
+                                          "ask each check about every effect instead, for `clampctl archive population`");
+  scores->excludes(diagnose);
+  for (const char* of_verdicts : {"--method", "--model", "--limits"})
+    for (CLI::Option* other : {diagnose, scores}) other->excludes(command->get_option(of_verdicts));
   constexpr const char* kGroup = "Which checks";
   reanalysis::Selection& selection = options->selection;
   command->add_option("--serial", selection.serials, "only of these brakes")->group(kGroup);
@@ -373,6 +425,18 @@ void add_archive_commands(CLI::App& app, const CommonOptions& common, int& exit_
   comparison->add_option("--with", options->with, "another job instead of what was recorded")
       ->type_name("JOB");
   comparison->callback([options, &common, &exit_code] { exit_code = show_comparison(*options, common); });
+
+  options = std::make_shared<ArchiveOptions>();
+  CLI::App* population = add_action(*archive, "population",
+                                    "which effect the line, a station, a fixture or a batch has that no single brake shows; "
+                                    "of a job submitted with --score-effects",
+                                    options, true);
+  population
+      ->add_option("--false-alarms", options->false_alarms,
+                   "probability that anything is named where there is nothing")
+      ->check(CLI::Range(1e-6, 0.5))
+      ->capture_default_str();
+  population->callback([options, &common, &exit_code] { exit_code = show_population(*options, common); });
 
   options = std::make_shared<ArchiveOptions>();
   add_action(*archive, "retry", "failed and cancelled tasks wait again", options, true)

@@ -12,6 +12,7 @@
 
 #include "clampd/base/result.hpp"
 #include "clampd/publish/channel.hpp"
+#include "clampd/reanalysis/population.hpp"
 #include "clampd/reanalysis/task.hpp"
 
 namespace clampd::reanalysis {
@@ -92,6 +93,8 @@ class Jobs {
   Result<std::vector<JobResult>> results(std::int64_t job);
   /// Those checks that both have. `with`: another job; nothing: as it was recorded.
   Result<std::vector<ComparedCheck>> compared(std::int64_t job, std::optional<std::int64_t> with);
+  /// Those checks of a job of the kind score-effects that are done, in the order in which they were started.
+  Result<std::vector<ScoredCheck>> scored(std::int64_t job);
   /// Tasks that failed, and those that were cancelled, wait again. How many.
   Result<std::int64_t> retry(std::int64_t job);
   /// Tasks that are not done; what workers make of those that they have is discarded. How many.

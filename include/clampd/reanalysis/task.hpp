@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <string_view>
 
 #include "clampd/base/result.hpp"
 #include "clampd/brake/extended_brake.hpp"
@@ -12,16 +13,26 @@
 
 namespace clampd::reanalysis {
 
-/// How archived runs are to be identified and judged.
+/// What is to be done with archived runs, and how.
 struct Task {
+  enum class Kind {
+    Identify,      ///< the parameters, and the verdict on them
+    Diagnose,      ///< what the base model gets wrong: its causes by name
+    ScoreEffects,  ///< what each brake says about each effect, to be summed over many
+  };
+  Kind kind = Kind::Identify;
+  BrakeParameters nominal;  ///< where the search starts; J and N
+  // What follows is of Identify alone, but for the samples of the tare.
   Method method = Method::OutputError;
-  BrakeParameters nominal;                  ///< where the search starts; J and N
   std::optional<ExtendedParameters> model;  ///< its effects are estimated too, by the prediction error method
   LimitSet limits;
   ValiditySettings validity;
   /// Of the checks' tare: a record has the deviation of the tare's mean, and this gives that of one sample.
   std::uint64_t tare_samples = 500;
 };
+
+/// As in a task's document: identify, diagnose, score-effects.
+std::string_view to_string(Task::Kind kind) noexcept;
 
 /// The task as a document of its own (JSON, clampd.task/1), which needs no other file: models and limits
 /// stand in it as the text of their files. Equal tasks give equal texts.

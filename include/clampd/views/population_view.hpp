@@ -1,0 +1,23 @@
+#pragma once
+
+#include <span>
+#include <string>
+
+#include <nlohmann/json_fwd.hpp>
+
+#include "clampd/attribution/population.hpp"
+#include "clampd/diagnose/effect_scores.hpp"
+
+namespace clampd {
+
+/// What was found, in words. `directions`: those of the table.
+std::string format_population(const attribution::PopulationTable& table,
+                              std::span<const EffectScore> directions,
+                              const attribution::PopulationResult& result, double false_alarms);
+
+/// The same as clampd.population/1.
+nlohmann::ordered_json population_json(const attribution::PopulationTable& table,
+                                       std::span<const EffectScore> directions,
+                                       const attribution::PopulationResult& result, double false_alarms);
+
+}  // namespace clampd

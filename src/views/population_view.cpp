@@ -1,0 +1,126 @@
+#include "clampd/views/population_view.hpp"
+
+#include <limits>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "clampd/base/json.hpp"
+
+namespace clampd {
+namespace {
+
+using attribution::CheckGroup;
+using attribution::Direction;
+using attribution::PopulationFinding;
+using attribution::PopulationResult;
+using attribution::PopulationTable;
+using nlohmann::ordered_json;
+
+const char* kind_of(const CheckGroup& group) {
+  switch (group.kind) {
+    case CheckGroup::Kind::Line:
+      return "line";
+    case CheckGroup::Kind::Station:
+      return "station";
+    case CheckGroup::Kind::Fixture:
+      return "fixture";
+    case CheckGroup::Kind::Batch:
+      return "batch";
+  }
+  return "";
+}
+
+const CheckGroup& group_of(const PopulationTable& table, const PopulationFinding::Suspect& suspect) {
+  return table.groups[static_cast<std::size_t>(suspect.group)];
+}
+
+const Direction& direction_of(const PopulationTable& table, const PopulationFinding::Suspect& suspect) {
+  return table.directions[static_cast<std::size_t>(suspect.direction)];
+}
+
+std::string name_of(const CheckGroup& group) {
+  return group.kind == CheckGroup::Kind::Line ? "the whole line"
+                                              : fmt::format("{} {}", kind_of(group), group.name);
+}
+
+/// What the effect does with this strength.
+std::string effect_in_words(const EffectScore& direction, double size) {
+  EffectValues values = direction.effect;
+  values.values[direction.parameter] = size;
+  return in_words(values, {}, std::numeric_limits<double>::quiet_NaN());
+}
+
+std::string sentence(const PopulationTable& table, std::span<const EffectScore> directions,
+                     const PopulationFinding& finding) {
+  const CheckGroup& group = group_of(table, finding.suspect);
+  const Direction& direction = direction_of(table, finding.suspect);
+  const EffectScore& effect = directions[static_cast<std::size_t>(finding.suspect.direction)];
+  std::string text = fmt::format(
+      "{}: {}\n  {} = {:.3g} ± {:.2g} {}{}, from {} checks; one of them shows it to {:.2g} standard "
+      "deviations\n",
+      name_of(group), effect_in_words(effect, finding.size), direction.name, finding.size, 1.96 * finding.sd,
+      direction.unit, group.kind == CheckGroup::Kind::Line ? "" : " against the others", group.checks.size(),
+      finding.of_one_check);
+  std::string rivals;
+  for (const PopulationFinding::Suspect& rival : finding.rivals) {
+    const CheckGroup& other = group_of(table, rival);
+    rivals += fmt::format("{}{}{}", rivals.empty() ? "" : "; ", direction_of(table, rival).name,
+                          rival.group == finding.suspect.group ? "" : " of " + name_of(other));
+  }
+  if (!rivals.empty()) text += fmt::format("  these checks do not tell it from: {}\n", rivals);
+  return text;
+}
+
+}  // namespace
+
+std::string format_population(const PopulationTable& table, std::span<const EffectScore> directions,
+                              const PopulationResult& result, double false_alarms) {
+  std::string text =
+      fmt::format("{} checks, {} directions of effects, {} groups ({} of them too small to tell)\n\n",
+                  table.score.rows(), table.directions.size(), table.groups.size(), result.groups_too_small);
+  for (const PopulationFinding& finding : result.findings) text += sentence(table, directions, finding);
+  text +=
+      result.findings.empty()
+          ? "Neither the line nor any station, fixture or batch shows an effect.\n"
+          : fmt::format("(Where there is none of this, something is found with a probability of {:g} %.)\n",
+                        100.0 * false_alarms);
+  return text;
+}
+
+ordered_json population_json(const PopulationTable& table, std::span<const EffectScore> directions,
+                             const PopulationResult& result, double false_alarms) {
+  const auto suspect_json = [&](const PopulationFinding::Suspect& suspect) -> ordered_json {
+    const EffectScore& direction = directions[static_cast<std::size_t>(suspect.direction)];
+    const EffectInfo& info = info_of(*direction.effect.effect);
+    return {{"effect", info.name},
+            {"parameter", info.parameters[direction.parameter].name},
+            {"direction", direction_of(table, suspect).name},
+            {"group", kind_of(group_of(table, suspect))},
+            {"name", group_of(table, suspect).name}};
+  };
+  ordered_json findings = ordered_json::array();
+  for (const PopulationFinding& finding : result.findings) {
+    ordered_json json = suspect_json(finding.suspect);
+    json["unit"] = direction_of(table, finding.suspect).unit;
+    json["size"] = number_or_null(finding.size);
+    json["sd"] = number_or_null(finding.sd);
+    json["t"] = number_or_null(finding.t);
+    json["p_value"] = number_or_null(finding.p);
+    json["checks"] = group_of(table, finding.suspect).checks.size();
+    json["of_one_check_sd"] = number_or_null(finding.of_one_check);
+    json["rivals"] = ordered_json::array();
+    for (const PopulationFinding::Suspect& rival : finding.rivals)
+      json["rivals"].push_back(suspect_json(rival));
+    findings.push_back(std::move(json));
+  }
+  ordered_json overdispersion = ordered_json::object();
+  for (std::size_t j = 0; j < table.directions.size(); ++j)
+    overdispersion[table.directions[j].name] =
+        number_or_null(result.overdispersion[static_cast<Eigen::Index>(j)]);
+  return {{"schema", "clampd.population/1"}, {"checks", table.score.rows()},
+          {"tests", result.tests},           {"false_alarms", false_alarms},
+          {"findings", std::move(findings)}, {"overdispersion", std::move(overdispersion)}};
+}
+
+}  // namespace clampd
