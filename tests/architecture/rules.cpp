@@ -42,7 +42,7 @@ const std::vector<LibraryRule>& library_rules() {
       {"boost/asio", {"http"}, false},
       {"boost/beast", {"http"}, false},
       {"systemd/", {"daemon"}, false},
-      {"CLI/", {"tools/clampd", "tools/clampctl", "tools/clampd-plant", "tools/clampd-worker"}, true},
+      {"CLI/", {"tools/clampd", "tools/clampctl", "tools/clampd-plant", "tools/clampd-worker", "tools/factory"}, true},
   };
   return kRules;
 }
@@ -269,6 +269,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"tools/clampd-plant", {"tools/cli", "bench", "simulation", "rt", "drivers/can", "base"}},
       {"tools/clampd-worker",
        {"tools/dashboard", "tools/cli", "http", "line_page", "reanalysis", "publish", "station", "base"}},
+      {"tools/factory", {"tools/cli", "bench", "drivers/sim", "publish", "archive", "station", "record", "base"}},
       {"tools/clampd", {"tools/dashboard", "tools/cli", "daemon", "api", "bench", "drivers/gpio", "base"}},
       {"tools/clampctl",
        {"tools/reproduce", "tools/cli", "reanalysis", "publish", "api", "bench", "simulation", "rt", "drivers/can", "drivers/gpio", "drivers/sim", "views", "line",
