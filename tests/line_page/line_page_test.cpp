@@ -114,8 +114,8 @@ TEST(LinePage, CountsTheChecksOfEachStationAndShowsWhichOneIsSilent) {
 }
 
 TEST(LinePage, NoStationIsSilentWhileTheWholeLineRests) {
-  for (const ordered_json& station : page_of(rows_of({.south_days = 24.0, .north_days = 24.0}))["stations"])
-    EXPECT_EQ(station["silent"], false) << station;
+  const ordered_json page = page_of(rows_of({.south_days = 24.0, .north_days = 24.0}));
+  for (const ordered_json& station : page["stations"]) EXPECT_EQ(station["silent"], false) << station;
 }
 
 TEST(LinePage, AStationWithoutAnyCheckInTheSpanIsSilent) {
