@@ -173,6 +173,9 @@ Result<void> PostgresqlConnection::open(const WakeEvent& wake) {
     // A server that hangs must not hang the station's end.
     connection.set_variable("statement_timeout", "'10s'");
     connection.set_variable("lock_timeout", "'10s'");
+    // A client that is cut off in the middle of a transaction must not keep others from its rows: by itself
+    // the server hears of it after hours.
+    connection.set_variable("idle_in_transaction_session_timeout", "'10s'");
   });
 }
 
