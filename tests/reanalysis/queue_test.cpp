@@ -118,6 +118,21 @@ TEST_F(ArchiveQueue, WhatKillsItsWorkersIsGivenUp) {
   claimed_by(*mine, "mine");
 }
 
+TEST_F(ArchiveQueue, WhatKilledItsWorkersHoldsUpNobodyWhileItIsLocked) {
+  for (int attempt = 0; attempt < Queue::kMostAttempts; ++attempt) {
+    claimed_by(*mine, "mine");
+    let_the_lease_end();
+  }
+  const std::int64_t second = submit(task());
+  pqxx::connection cut_off(server->connection());
+  pqxx::work transaction(cut_off);
+  transaction.exec_params("SELECT 1 FROM clampd.queue WHERE job_id = $1 FOR UPDATE", job);
+  EXPECT_EQ(claimed_by(*mine, "mine").job, second);
+  transaction.abort();
+  EXPECT_FALSE(mine->claim("mine", 60s).value().has_value());
+  EXPECT_EQ(ask(fmt::format("SELECT state FROM clampd.queue WHERE job_id = {}", job)), "failed");
+}
+
 TEST_F(ArchiveQueue, WhatIsGivenBackIsThereForTheNext) {
   for (int i = 0; i < 2 * Queue::kMostAttempts; ++i) {
     const Claim claim = claimed_by(*mine, "mine");
