@@ -111,6 +111,7 @@ class Search {
   Eigen::MatrixXd within_;  ///< z less its station's mean
   std::vector<int> looked_at_;
   std::vector<Suspect> selected_;
+  std::vector<int> closed_;  ///< groups in which nothing more is looked for
 };
 
 bool Search::is_large_enough(const CheckGroup& group) const {
@@ -295,7 +296,7 @@ std::vector<Trial> Search::trials() const {
     const Rest of_station = rest_beside(j, kNoGroup);
     std::optional<Rest> of_batch;
     for (const int g : looked_at_) {
-      if (is_selected({j, g})) continue;
+      if (is_selected({j, g}) || std::find(closed_.begin(), closed_.end(), g) != closed_.end()) continue;
       const bool is_batch = group(g).kind == CheckGroup::Kind::Batch;
       if (g == kLine || has(g)) {
         of_direction.push_back(trial(j, g, rest_beside(j, g)));
@@ -374,6 +375,7 @@ PopulationResult Search::run() {
     finding.p = std::exp(-best->surprise);
     finding.of_one_check = of_one_check(*best);
     selected_.push_back(best->suspect);
+    if (finding.of_one_check > kShownByOneCheck) closed_.push_back(best->suspect.group);
     std::vector<Trial> after = trials();
     finding.rivals = rivals(all, after, *best, level);
     result.findings.push_back(std::move(finding));

@@ -48,7 +48,9 @@ std::string name_of(const CheckGroup& group) {
 std::string effect_in_words(const EffectScore& direction, double size) {
   EffectValues values = direction.effect;
   values.values[direction.parameter] = size;
-  return in_words(values, {}, std::numeric_limits<double>::quiet_NaN());
+  constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+  const std::vector<double> unknown(values.values.size(), kUnknown);
+  return in_words(values, unknown, kUnknown);
 }
 
 std::string sentence(const PopulationTable& table, std::span<const EffectScore> directions,
@@ -62,6 +64,10 @@ std::string sentence(const PopulationTable& table, std::span<const EffectScore> 
       name_of(group), effect_in_words(effect, finding.size), direction.name, finding.size, 1.96 * finding.sd,
       direction.unit, group.kind == CheckGroup::Kind::Line ? "" : " against the others", group.checks.size(),
       finding.of_one_check);
+  if (finding.of_one_check > attribution::kShownByOneCheck)
+    text +=
+        "  single checks show it: `clampctl archive submit --diagnose` tells more; nothing else was looked for "
+        "here\n";
   std::string rivals;
   for (const PopulationFinding::Suspect& rival : finding.rivals) {
     const CheckGroup& other = group_of(table, rival);

@@ -109,6 +109,17 @@ TEST_F(Population, SaysThatAStationCannotBeToldFromItsBatch) {
   EXPECT_THAT(named, ::testing::UnorderedElementsAre(Suspect{2, 2}, Suspect{2, 1 + kStations + 1}));
 }
 
+// Scores are linear: what else a group seems to have beside an effect that each of its checks shows is no finding.
+TEST_F(Population, LooksForNothingBesideAnEffectThatIsNotFaint) {
+  PopulationTable line = table(12);
+  add(line, line.groups[3], 2, 12.0);
+  add(line, line.groups[3], 4, 2.0);
+  const PopulationResult result = attribute_effects(line);
+  ASSERT_EQ(result.findings.size(), 1U);
+  EXPECT_EQ(result.findings.front().suspect, (Suspect{2, 3}));
+  EXPECT_GT(result.findings.front().of_one_check, kShownByOneCheck);
+}
+
 TEST_F(Population, NamesTheLineForWhatAllChecksHave) {
   PopulationTable line = table(5);
   add(line, line.groups[0], 2, 0.8);

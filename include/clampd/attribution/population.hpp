@@ -64,6 +64,10 @@ struct PopulationResult {
 /// Groups with fewer checks, or that leave fewer to compare with, are not looked at.
 inline constexpr int kFewestOfGroup = 5;
 
+/// An effect that a single check shows to so many of its standard deviations is no faint one: beside it, nothing else is looked for in
+/// its group, since scores are linear and their correlations those of small effects.
+inline constexpr double kShownByOneCheck = 2.0;
+
 /// Evidence summed over checks (docs/population.md): forward selection among all directions and groups, by t
 /// statistics whose variance is the one that the scores show from check to check.
 PopulationResult attribute_effects(const PopulationTable& table, const PopulationOptions& options = {});
