@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <map>
 
 #include <fmt/format.h>
@@ -149,6 +150,19 @@ TEST(FactoryPlan, ABatchOfStifferBrakesIsIdentifiedAsOne) {
   EXPECT_NEAR(after.value / before.value, 1.1, 4.0 * std::hypot(after.sd, before.sd) / before.value);
 }
 
+TEST(FactoryProgram, ValidatesItsArgumentsAndMakesNothing) {
+  const support::TemporaryDirectory folder;
+  const std::string line = fmt::format("{} --folder {} --validate", CLAMPD_FACTORY, folder.path("none"));
+  EXPECT_EQ(support::run_command(line + " --stations 2 --checks 6 --seed 4").exit_code, 0);
+  for (const std::string mistake :
+       {"--stations 1", "--checks 0", "--checks many", "--repeats 201", "--days 0", "--seed one"}) {
+    const support::Outcome refused = support::run_command(fmt::format("{} {}", line, mistake));
+    EXPECT_EQ(refused.exit_code, 2) << mistake;
+    EXPECT_THAT(refused.output, HasSubstr(mistake.substr(0, mistake.find(' '))));
+  }
+  EXPECT_FALSE(std::filesystem::exists(folder.path("none")));
+}
+
 class FactoryStations : public ::testing::Test {
  protected:
   void SetUp() override {
@@ -169,7 +183,7 @@ TEST_F(FactoryStations, PublishEachCheckOnceWithItsRunsAndTheSameAgain) {
   of.stations = 2;
   std::vector<std::string> ids;
   for (const PlannedCheck& check : planned(of, hide(of))) ids.push_back(check.id);
-  std::vector<std::vector<std::string>> runs, parameters;
+  std::vector<std::vector<std::string>> verdicts, runs, parameters;
   for (const char* name : {"first", "second"}) {
     support::Database server;
     const support::Outcome said = run(name, server);
@@ -180,10 +194,13 @@ TEST_F(FactoryStations, PublishEachCheckOnceWithItsRunsAndTheSameAgain) {
                          "clampd.raw_runs w ON w.sha256 = r.sha256 AND w.recorded = c.started"),
               "12");
     EXPECT_EQ(server.ask("SELECT count(*) FROM clampd.raw_runs"), "12");
+    verdicts.push_back(server.column("SELECT serial || ' ' || verdict FROM clampd.checks ORDER BY id"));
     runs.push_back(server.column("SELECT sha256 FROM clampd.runs ORDER BY check_id, position"));
     parameters.push_back(
         server.column("SELECT value::text FROM clampd.parameters ORDER BY check_id, position"));
   }
+  EXPECT_EQ(verdicts[0], verdicts[1]);
+  EXPECT_EQ(verdicts[0].size(), 6U);
   EXPECT_EQ(runs[0], runs[1]);
   EXPECT_EQ(parameters[0], parameters[1]);
   EXPECT_EQ(parameters[0].size(), 42U);

@@ -77,6 +77,8 @@ int main(int argc, char** argv) {
       ->type_name("FOLDER");
   bool revealed = false;
   app.add_flag("--reveal", revealed, "say what the factory in the folder hides, and do nothing else");
+  bool validated = false;
+  app.add_flag("--validate", validated, "say what is wrong with the arguments, and do nothing else");
   app.add_option("--stations", settings.stations, "how many")
       ->check(CLI::Range(2, 400))
       ->capture_default_str();
@@ -98,7 +100,7 @@ int main(int argc, char** argv) {
   app.add_option("--user", archive.user, "of the database (default: as the system calls you)");
   try {
     app.parse(argc, argv);
-    if (!revealed && archive.host.empty()) throw CLI::RequiredError("--host");
+    if (!revealed && !validated && archive.host.empty()) throw CLI::RequiredError("--host");
   } catch (const CLI::Success& request) {
     return app.exit(request);
   } catch (const CLI::ParseError& mistake) {
@@ -106,6 +108,7 @@ int main(int argc, char** argv) {
     return cli::kBadInput;
   }
   if (revealed) return reveal(folder);
+  if (validated) return cli::kSuccess;
   // Few enough digits to be typed again.
   if (seed->count() == 0) settings.seed = entropy()() % 1'000'000U;
   end_on_signals();
