@@ -16,7 +16,7 @@ namespace clampd::factory {
 class PublishedFactory {
  public:
   /// Programs as CMake names them. Throws what the factory said if it failed.
-  explicit PublishedFactory(int checks, int repeats = 2) : checks_(checks) {
+  explicit PublishedFactory(int checks, int repeats = 3) : checks_(checks) {
     run(
         fmt::format("{} --folder {} --host {} --database line --user line --stations 4 --checks {} --repeats "
                     "{} --seed 11",
