@@ -44,13 +44,14 @@ std::string name_of(const CheckGroup& group) {
                                               : fmt::format("{} {}", kind_of(group), group.name);
 }
 
-/// What the effect does with this strength.
-std::string effect_in_words(const EffectScore& direction, double size) {
-  EffectValues values = direction.effect;
-  values.values[direction.parameter] = size;
+/// What the effect does with this strength. Of its other strengths nothing is known.
+std::string effect_in_words(const EffectScore& direction, const PopulationFinding& finding) {
   constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
-  const std::vector<double> unknown(values.values.size(), kUnknown);
-  return in_words(values, unknown, kUnknown);
+  EffectValues values = direction.effect;
+  values.values[direction.parameter] = finding.size;
+  std::vector<double> deviations(values.values.size(), kUnknown);
+  deviations[direction.parameter] = finding.sd;
+  return in_words(values, deviations, kUnknown);
 }
 
 std::string sentence(const PopulationTable& table, std::span<const EffectScore> directions,
@@ -61,12 +62,13 @@ std::string sentence(const PopulationTable& table, std::span<const EffectScore> 
   std::string text = fmt::format(
       "{}: {}\n  {} = {:.3g} ± {:.2g} {}{}, from {} checks; one of them shows it to {:.2g} standard "
       "deviations\n",
-      name_of(group), effect_in_words(effect, finding.size), direction.name, finding.size, 1.96 * finding.sd,
+      name_of(group), effect_in_words(effect, finding), direction.name, finding.size, 1.96 * finding.sd,
       direction.unit, group.kind == CheckGroup::Kind::Line ? "" : " against the others", group.checks.size(),
       finding.of_one_check);
   if (finding.of_one_check > attribution::kShownByOneCheck)
     text +=
-        "  single checks show it: `clampctl archive submit --diagnose` tells more; nothing else was looked for "
+        "  single checks show it: `clampctl archive submit --diagnose` tells more; nothing else was looked "
+        "for "
         "here\n";
   std::string rivals;
   for (const PopulationFinding::Suspect& rival : finding.rivals) {

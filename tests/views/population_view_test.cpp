@@ -25,12 +25,14 @@ TEST(PopulationView, HasWordsForEveryEffect) {
     attribution::PopulationFinding finding;
     finding.suspect = {i, 1};
     finding.size = strength.scale;
+    finding.sd = 0.1 * strength.scale;
     finding.rivals = {{0, 0}};
     result.findings.push_back(finding);
   }
   const std::string text = format_population(table, directions, result, 0.01);
   for (const attribution::Direction& direction : table.directions)
     EXPECT_THAT(text, HasSubstr(direction.name + " = "));
+  EXPECT_THAT(text, HasSubstr("(viscous 0.0001 N m s/rad)")) << "of two strengths the one that was found";
   EXPECT_THAT(text, HasSubstr("station north: "));
   EXPECT_THAT(text, HasSubstr("these checks do not tell it from: direction 0 of the whole line"));
   EXPECT_THAT(text, HasSubstr("the reading of clamp force comes 0.5 ms late"));
