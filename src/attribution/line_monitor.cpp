@@ -7,6 +7,7 @@
 
 #include <fmt/format.h>
 
+#include "clampd/statistics/median.hpp"
 #include "clampd/statistics/symmetric.hpp"
 
 namespace clampd::attribution {
@@ -118,10 +119,7 @@ double day_to_day(const ParameterMonitor& parameter) {
     of_station.push_back(
         std::max(0.0, excess / (station.information - station.squared_information / station.information)));
   }
-  if (of_station.empty()) return 0.0;
-  const auto middle = of_station.begin() + static_cast<std::ptrdiff_t>(of_station.size() / 2);
-  std::nth_element(of_station.begin(), middle, of_station.end());
-  return *middle;
+  return statistics::median(of_station);
 }
 
 void add_reading(StationMonitor& station, double time_s, double spread) {

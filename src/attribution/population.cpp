@@ -10,6 +10,7 @@
 #include <span>
 
 #include "clampd/statistics/distributions.hpp"
+#include "clampd/statistics/median.hpp"
 #include "clampd/statistics/symmetric.hpp"
 
 namespace clampd::attribution {
@@ -33,13 +34,6 @@ constexpr double kLeastOfLine = 0.5, kLeastOfGroup = 0.1;
 constexpr std::array kKindsBesideTheLine{CheckGroup::Kind::Station, CheckGroup::Kind::Fixture,
                                          CheckGroup::Kind::Batch};
 constexpr int kLine = 0, kNoGroup = -1;  // numbers of groups
-
-double median_of(std::vector<double> values) {
-  if (values.empty()) return 0.0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// Whether groups have most of their checks in common, so that nothing tells which of them has an effect.
 bool are_nearly_same(const CheckGroup& a, const CheckGroup& b) {
@@ -138,10 +132,10 @@ void Search::standardise() {
     for (const std::vector<int>& part : parts) {
       std::vector<double> values;
       for (const int i : part) values.push_back(z_(i, j));
-      middles.push_back(median_of(values));
+      middles.push_back(statistics::median(values));
       for (const double value : values) away.push_back(std::abs(value - middles.back()));
     }
-    const double farthest = kFarthest * kMedianToDeviation * median_of(std::move(away));
+    const double farthest = kFarthest * kMedianToDeviation * statistics::median(away);
     for (std::size_t part = 0; part < parts.size(); ++part) {
       double mean = 0.0;
       for (const int i : parts[part]) {
@@ -286,7 +280,7 @@ double Search::of_one_check(const Trial& trial) const {
   std::vector<double> weights;
   for (const int i : group(trial.suspect.group).checks)
     weights.push_back(weight_(i, trial.suspect.direction));
-  return std::abs(trial.size) * median_of(std::move(weights));
+  return std::abs(trial.size) * statistics::median(weights);
 }
 
 std::vector<Trial> Search::trials() const {

@@ -1,11 +1,12 @@
 #include "clampd/diagnose/effect_scores.hpp"
 
 #include <algorithm>
-#include <utility>
 
 #include "clampd/identify/extended_fit.hpp"
 #include "clampd/identify/parameter_scores.hpp"
 #include "clampd/statistics/symmetric.hpp"
+#include "src/diagnose/combinations.hpp"
+#include "src/diagnose/look.hpp"
 
 namespace clampd {
 namespace {
@@ -16,29 +17,12 @@ using Role = EffectParameter::Role;
 /// explains itself.
 constexpr double kLeastOwn = 1e-6;
 
-bool has_strength(const Effect& effect) {
-  const auto& parameters = info_of(effect).parameters;
-  return std::any_of(parameters.begin(), parameters.end(),
-                     [](const auto& parameter) { return parameter.role == Role::Strength; });
-}
-
-/// Strengths neutral, refinements as they come first, every combination of shapes and choices.
+/// Strengths neutral, every combination of shapes and choices.
 std::vector<std::vector<double>> neutral_values(const Effect& effect) {
-  std::vector<std::vector<double>> list{{}};
-  const auto& parameters = info_of(effect).parameters;
-  for (std::size_t i = 0; i < parameters.size(); ++i) {
-    std::vector<double> values = parameters[i].starts;
-    if (parameters[i].role == Role::Strength) values = {parameters[i].neutral};
-    if (parameters[i].role == Role::Refinement) values.resize(1);
-    std::vector<std::vector<double>> longer;
-    for (const auto& begun : list)
-      for (const double value : values) {
-        longer.push_back(begun);
-        longer.back().push_back(value);
-      }
-    list = std::move(longer);
-  }
-  return list;
+  return diagnosing::combinations(effect, [&](std::size_t i) {
+    const EffectParameter& parameter = info_of(effect).parameters[i];
+    return parameter.role == Role::Strength ? std::vector{parameter.neutral} : parameter.starts;
+  });
 }
 
 /// The effects of some scores, each once, that one linearisation can hold beside the base model.
@@ -53,23 +37,14 @@ bool is_same(const EffectValues& a, const EffectValues& b) {
 
 std::vector<Batch> batches_of(std::span<const EffectScore> scores) {
   std::vector<Batch> batches;
-  int states = 0, parameters = 0;
   for (std::size_t i = 0; i < scores.size(); ++i) {
     const EffectValues& effect = scores[i].effect;
-    if (!batches.empty() && is_same(batches.back().effects.back(), effect)) {
-      batches.back().last = i + 1;
-      continue;
-    }
-    const EffectInfo& info = info_of(*effect.effect);
-    states += info.states;
-    parameters += static_cast<int>(info.parameters.size());
-    if (batches.empty() || states > ExtendedBrake::kMaxStates || parameters > ExtendedBrake::kMaxParameters) {
-      batches.push_back({i, i, {}});
-      states = 2 + info.states;
-      parameters = static_cast<int>(kParameterCount + info.parameters.size());
+    if (batches.empty() || !is_same(batches.back().effects.back(), effect)) {
+      if (batches.empty() || !diagnosing::room_for({{}, batches.back().effects}, {&effect, 1}))
+        batches.push_back({i, i, {}});
+      batches.back().effects.push_back(effect);
     }
     batches.back().last = i + 1;
-    batches.back().effects.push_back(effect);
   }
   return batches;
 }
@@ -84,13 +59,11 @@ void score_batch(std::span<const FitRun> runs, const ExtendedEstimate& base, con
   constexpr auto kBase = static_cast<Eigen::Index>(kParameterCount);
   const statistics::ScaledFactor base_factor(found.information.topLeftCorner<kBase, kBase>());
   const ExtendedBrake brake(extended.parameters);
+  int effect = 0;
   for (std::size_t i = batch.first; i < batch.last; ++i) {
-    const auto effect = std::find_if(batch.effects.begin(), batch.effects.end(),
-                                     [&](const auto& each) { return is_same(each, scores[i].effect); }) -
-                        batch.effects.begin();
+    if (!is_same(batch.effects[static_cast<std::size_t>(effect)], scores[i].effect)) ++effect;
     const auto place = std::find_if(brake.places().begin(), brake.places().end(), [&](const auto& each) {
-      return each.effect == static_cast<int>(effect) &&
-             each.parameter == static_cast<int>(scores[i].parameter);
+      return each.effect == effect && each.parameter == static_cast<int>(scores[i].parameter);
     });
     const auto at = static_cast<Eigen::Index>(place - brake.places().begin());
     const Eigen::VectorXd across = found.information.col(at).head<kBase>();
@@ -108,8 +81,8 @@ std::vector<EffectScore> effects_with_strengths() {
   std::vector<EffectScore> scores;
   for (const Effect* effect : effects()) {
     const EffectInfo& info = info_of(*effect);
-    if (!has_strength(*effect) || info.order_scan || info.removes_readings) continue;
-    for (std::vector<double>& values : neutral_values(*effect))
+    if (info.order_scan || info.removes_readings) continue;
+    for (const std::vector<double>& values : neutral_values(*effect))
       for (std::size_t i = 0; i < info.parameters.size(); ++i)
         if (info.parameters[i].role == Role::Strength) scores.push_back({{effect, values}, i, 0.0, 0.0});
   }

@@ -408,7 +408,7 @@ void finish(Candidate& candidate, const Hypothesis& hypothesis) {
     const Hypothesis& fitted = candidate.fitted;
     add_peaks(fitted, filter_runs(fitted.runs, fitted.estimate, fitted.threads), beside);
     if (!beside.starts.empty() && beside.starts.front().predicted_gain > kStandsOut * candidate.gain &&
-        room_for(candidate.fitted, {&beside.starts.front().values, 1})) {
+        room_for(candidate.fitted.estimate.parameters, {&beside.starts.front().values, 1})) {
       Hypothesis both = fitted_from(beside.starts.front(), candidate.fitted,
                                     candidate.fitted.estimate.noise.torque_Nm, kRoughIterations);
       const std::size_t first = candidate.fitted.estimate.parameters.effects.size() - 1;

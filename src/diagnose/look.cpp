@@ -8,6 +8,7 @@
 
 #include "clampd/base/parallel.hpp"
 #include "clampd/statistics/symmetric.hpp"
+#include "src/diagnose/combinations.hpp"
 #include "src/diagnose/evidence.hpp"
 
 namespace clampd::diagnosing {
@@ -22,22 +23,14 @@ constexpr Eigen::Index kScanTogether = 64;  // orders that fit the cache
 
 constexpr double kSpikeDegrees = 2.0;
 
-std::vector<std::vector<double>> combinations(const Effect& effect, std::span<const Run> recorded) {
-  const auto& parameters = info_of(effect).parameters;
-  std::vector<std::vector<double>> list{{}};
-  for (std::size_t i = 0; i < parameters.size(); ++i) {
+/// What is looked at: strengths at their neutral value and their starts, shapes and choices at their starts.
+std::vector<std::vector<double>> values_to_look_at(const Effect& effect, std::span<const Run> recorded) {
+  return combinations(effect, [&](std::size_t i) {
+    const EffectParameter& parameter = info_of(effect).parameters[i];
     std::vector<double> values = starts_of(effect, i, recorded);
-    if (parameters[i].role == Role::Strength) values.insert(values.begin(), parameters[i].neutral);
-    if (parameters[i].role == Role::Refinement) values.resize(1);
-    std::vector<std::vector<double>> longer;
-    for (const auto& begun : list)
-      for (const double value : values) {
-        longer.push_back(begun);
-        longer.back().push_back(value);
-      }
-    list = std::move(longer);
-  }
-  return list;
+    if (parameter.role == Role::Strength) values.insert(values.begin(), parameter.neutral);
+    return values;
+  });
 }
 
 /// Alternatives tried: choices, and shapes, of which nothing is known where the effect is absent, so that the
@@ -196,7 +189,7 @@ std::vector<std::vector<Screening*>> screenings_together(const Hypothesis& hypot
       continue;
     }
     effects.push_back(screening.values);
-    if (!batch.empty() && !room_for(hypothesis, effects)) {
+    if (!batch.empty() && !room_for(hypothesis.estimate.parameters, effects)) {
       close();
       effects.push_back(screening.values);
     }
@@ -288,15 +281,14 @@ void add_peaks(const Hypothesis& hypothesis, std::span<const FilteredRun> filter
   candidate.alternatives = 0.5 * static_cast<double>(all.count);
 }
 
-bool room_for(const Hypothesis& hypothesis, std::span<const EffectValues> further) {
+bool room_for(const ExtendedParameters& model, std::span<const EffectValues> further) {
   int states = 2;
   std::size_t parameters = kParameterCount;
   const auto add = [&](const EffectValues& values) {
     states += info_of(*values.effect).states;
     parameters += values.values.size();
   };
-  std::for_each(hypothesis.estimate.parameters.effects.begin(), hypothesis.estimate.parameters.effects.end(),
-                add);
+  std::for_each(model.effects.begin(), model.effects.end(), add);
   std::for_each(further.begin(), further.end(), add);
   return states <= ExtendedBrake::kMaxStates &&
          parameters <= static_cast<std::size_t>(ExtendedBrake::kMaxParameters);
@@ -320,7 +312,7 @@ std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypot
     } else if (info_of(effect).order_scan) {
       work.emplace_back([&] { add_peaks(hypothesis, filtered, candidate); });
     } else {
-      for (std::vector<double>& values : combinations(effect, recorded))
+      for (std::vector<double>& values : values_to_look_at(effect, recorded))
         screenings.push_back({i, {&effect, std::move(values)}, {}});
     }
   }

@@ -69,7 +69,7 @@ bool has(const Hypothesis& hypothesis, const Effect& effect) {
 
 bool can_be_added(const Hypothesis& hypothesis, const Effect& effect) {
   const EffectValues values{&effect, std::vector<double>(info_of(effect).parameters.size())};
-  return room_for(hypothesis, {&values, 1});
+  return room_for(hypothesis.estimate.parameters, {&values, 1});
 }
 
 /// Whether these values of an effect are a harmonic of one of the same name that is there.

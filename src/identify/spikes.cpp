@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "clampd/statistics/median.hpp"
+
 namespace clampd {
 
 namespace {
@@ -18,10 +20,7 @@ constexpr double kMedian = 0.6745;
 double spike_limit(std::vector<double> innovations) {
   std::erase_if(innovations, [](double e) { return !std::isfinite(e); });
   for (double& e : innovations) e = std::abs(e);
-  if (innovations.empty()) return 0.0;
-  const auto middle = innovations.begin() + static_cast<std::ptrdiff_t>(innovations.size() / 2);
-  std::nth_element(innovations.begin(), middle, innovations.end());
-  return kSpike * *middle / kMedian;
+  return kSpike * statistics::median(innovations) / kMedian;
 }
 
 std::vector<std::size_t> spikes_in(std::span<const double> innovations, double limit) {

@@ -7,6 +7,7 @@
 
 #include <Eigen/Core>
 
+#include "clampd/statistics/median.hpp"
 #include "clampd/statistics/symmetric.hpp"
 
 namespace clampd::identify {
@@ -24,10 +25,7 @@ void append_third_differences(std::span<const double> series, std::vector<double
 
 /// Standard deviation of white noise from its third differences; the median ignores the steps of the torque.
 double noise_from(std::vector<double>& magnitudes) {
-  if (magnitudes.empty()) return 0.0;
-  const auto middle = magnitudes.begin() + static_cast<std::ptrdiff_t>(magnitudes.size() / 2);
-  std::nth_element(magnitudes.begin(), middle, magnitudes.end());
-  return *middle / (0.6745 * std::sqrt(20.0));  // 20 = 1 + 9 + 9 + 1
+  return statistics::median(magnitudes) / (0.6745 * std::sqrt(20.0));  // 20 = 1 + 9 + 9 + 1
 }
 
 std::vector<double> travel_of(const Run& run) {

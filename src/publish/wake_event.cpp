@@ -4,6 +4,8 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
+#include <csignal>
+
 #include "clampd/base/assert.hpp"
 
 namespace clampd::publish {
@@ -34,6 +36,25 @@ void WakeEvent::wait(std::chrono::milliseconds longest) noexcept {
 void WakeEvent::silence() noexcept {
   eventfd_t rings = 0;
   if (!stopped_) ::eventfd_read(descriptor_, &rings);
+}
+
+namespace {
+
+WakeEvent& event_of_process() {
+  static WakeEvent event;
+  return event;
+}
+
+}  // namespace
+
+WakeEvent& stopped_by_signals() {
+  WakeEvent& event = event_of_process();  // made before any signal may come
+  struct sigaction action {};
+  action.sa_handler = [](int) { event_of_process().stop(); };
+  sigaction(SIGTERM, &action, nullptr);
+  sigaction(SIGINT, &action, nullptr);
+  std::signal(SIGPIPE, SIG_IGN);
+  return event;
 }
 
 }  // namespace clampd::publish

@@ -140,7 +140,7 @@ std::vector<Run> taken_out(std::vector<CollectedRun> collected) {
 
 /// Nothing if it was given up.
 std::optional<IdentificationWorker::Outcome> identify_runs(std::vector<CollectedRun> runs, const Task& task,
-                                                      const std::function<bool()>& given_up) {
+                                                           const std::function<bool()>& given_up) {
   EstimatorOptions options;  // one thread: workers stand beside each other, not threads
   options.start = task.nominal;
   IdentificationWorker worker(task.model ? estimator_of(*task.model) : estimator_of(task.method), options,

@@ -259,12 +259,23 @@ Result<std::vector<ComparedCheck>> Jobs::compared(std::int64_t job, std::optiona
 
 Result<std::vector<ScoredCheck>> Jobs::scored(std::int64_t job) {
   std::vector<ScoredCheck> checks;
+  std::string wrong;
   return connection_
       ->transact([&](pqxx::work& transaction) {
-        for (const pqxx::row& row : transaction.exec_params(kScored, job))
-          checks.push_back({row[0].c_str(), row[1].c_str(), row[2].c_str(), row[3].c_str(), row[4].c_str(), row[5].c_str()});
+        for (const pqxx::row& row : transaction.exec_params(kScored, job)) {
+          Result<std::vector<EffectScore>> scores = parse_scores(row[5].c_str());
+          if (!scores) {
+            wrong = fmt::format("check {}: {}", row[0].c_str(), scores.error().message);
+            return;
+          }
+          checks.push_back({row[0].c_str(), row[1].c_str(), row[2].c_str(), row[3].c_str(), row[4].c_str(),
+                            std::move(*scores)});
+        }
       })
-      .map([&] { return std::move(checks); });
+      .and_then([&]() -> Result<std::vector<ScoredCheck>> {
+        if (!wrong.empty()) return failure(wrong);
+        return std::move(checks);
+      });
 }
 
 Result<std::int64_t> Jobs::retry(std::int64_t job) {

@@ -1,5 +1,6 @@
 #include "clampd/reanalysis/population.hpp"
 
+#include <algorithm>
 #include <map>
 #include <set>
 #include <utility>
@@ -14,40 +15,28 @@ using attribution::CheckGroup;
 using attribution::Direction;
 using nlohmann::ordered_json;
 
-/// As one list says it, so that lists can be compared without their numbers.
-struct Asked {
-  std::string effect, parameter;
-  std::vector<double> at;
-
-  bool operator==(const Asked&) const = default;
-};
-
-struct Answers {
-  std::vector<Asked> asked;
-  std::vector<double> scores, informations;
-};
-
 /// Throws what nlohmann::json throws.
-Answers answers_of(const ordered_json& document) {
-  Answers answers;
-  for (const ordered_json& each : document.at("scores")) {
-    answers.asked.push_back(
-        {each.at("effect"), each.at("parameter"), each.at("at").get<std::vector<double>>()});
-    const bool tells = each.at("score").is_number() && each.at("information").is_number();
-    answers.scores.push_back(tells ? each.at("score").get<double>() : 0.0);
-    answers.informations.push_back(tells ? each.at("information").get<double>() : 0.0);
+Result<EffectScore> score_of(const ordered_json& entry) {
+  const std::string name = entry.at("effect"), parameter = entry.at("parameter");
+  const auto at = entry.at("at").get<std::vector<double>>();
+  const Effect* effect = find_effect(name);
+  if (effect == nullptr) return failure(fmt::format("there is no effect {}", name));
+  const auto& parameters = info_of(*effect).parameters;
+  const auto strength = std::find_if(parameters.begin(), parameters.end(),
+                                     [&](const EffectParameter& each) { return each.name == parameter; });
+  if (strength == parameters.end() || at.size() != parameters.size())
+    return failure(fmt::format("the effect {} has no {} of {} values", name, parameter, at.size()));
+  EffectScore score{{effect, at}, static_cast<std::size_t>(strength - parameters.begin())};
+  if (entry.at("score").is_number() && entry.at("information").is_number()) {
+    score.score = entry.at("score");
+    score.information = entry.at("information");
   }
-  return answers;
+  return score;
 }
 
-Result<EffectScore> direction_of(const Asked& asked) {
-  const Effect* effect = find_effect(asked.effect);
-  if (effect == nullptr) return failure(fmt::format("there is no effect {}", asked.effect));
-  const auto& parameters = info_of(*effect).parameters;
-  for (std::size_t i = 0; i < parameters.size() && asked.at.size() == parameters.size(); ++i)
-    if (parameters[i].name == asked.parameter) return EffectScore{{effect, asked.at}, i, 0.0, 0.0};
-  return failure(
-      fmt::format("the effect {} has no {} of {} values", asked.effect, asked.parameter, asked.at.size()));
+bool is_same_direction(const EffectScore& a, const EffectScore& b) {
+  return a.effect.effect == b.effect.effect && a.effect.values == b.effect.values &&
+         a.parameter == b.parameter;
 }
 
 /// The line, then stations, fixtures and batches by name.
@@ -77,19 +66,6 @@ class Groups {
   std::map<std::string, Rows> fixtures_;
 };
 
-Result<Answers> read(const ScoredCheck& check) {
-  try {
-    const ordered_json document = ordered_json::parse(check.document);
-    if (document.at("schema") != "clampd.effect_scores/1")
-      return failure(
-          fmt::format("check {}: its result is no clampd.effect_scores/1: submit a job with --score-effects",
-                      check.check));
-    return answers_of(document);
-  } catch (const nlohmann::json::exception& wrong) {
-    return failure(fmt::format("check {}: its result cannot be read: {}", check.check, wrong.what()));
-  }
-}
-
 }  // namespace
 
 Direction direction_in_words(const EffectScore& score) {
@@ -112,10 +88,28 @@ Direction direction_in_words(const EffectScore& score) {
           std::string(strength.unit), strength.lower == strength.neutral};
 }
 
+Result<std::vector<EffectScore>> parse_scores(const std::string& document) {
+  try {
+    const ordered_json parsed = ordered_json::parse(document);
+    if (parsed.at("schema") != "clampd.effect_scores/1")
+      return failure("its result is no clampd.effect_scores/1: submit a job with --score-effects");
+    std::vector<EffectScore> scores;
+    for (const ordered_json& entry : parsed.at("scores")) {
+      const Result<EffectScore> score = score_of(entry);
+      if (!score)
+        return failure(fmt::format("{}: use the version that made this result, or submit the job again",
+                                   score.error().message));
+      scores.push_back(*score);
+    }
+    return scores;
+  } catch (const nlohmann::json::exception& wrong) {
+    return failure(fmt::format("its result cannot be read: {}", wrong.what()));
+  }
+}
+
 Result<Population> population_of(const std::vector<ScoredCheck>& checks) {
   Population population;
-  std::vector<Asked> asked;
-  std::vector<Answers> rows;
+  std::vector<const std::vector<EffectScore>*> rows;
   Groups groups;
   std::set<std::pair<std::string, std::string>> seen;
   for (const ScoredCheck& check : checks) {
@@ -123,38 +117,30 @@ Result<Population> population_of(const std::vector<ScoredCheck>& checks) {
       ++population.repeated;
       continue;
     }
-    Result<Answers> answers = read(check);
-    if (!answers) return tl::unexpected(answers.error());
-    if (rows.empty()) asked = answers->asked;
-    if (answers->asked != asked)
-      return failure(
-          fmt::format("check {}: its result is of a version with other effects than that of check {}: submit "
-                      "the job again, so that "
-                      "one version does all of it",
-                      check.check, checks.front().check));
+    const std::vector<EffectScore>& first = checks.front().scores;
+    if (!std::equal(first.begin(), first.end(), check.scores.begin(), check.scores.end(), is_same_direction))
+      return failure(fmt::format(
+          "check {}: its result is of a version with other effects than that of check {}: submit the job "
+          "again, so that one version does all of it",
+          check.check, checks.front().check));
     groups.add(check, static_cast<int>(rows.size()));
-    rows.push_back(std::move(*answers));
+    rows.push_back(&check.scores);
   }
-  for (const Asked& each : asked) {
-    const Result<EffectScore> direction = direction_of(each);
-    if (!direction)
-      return failure(
-          fmt::format("check {}: {}: use the version that made this result, or submit the job again",
-                      checks.front().check, direction.error().message));
-    population.directions.push_back(*direction);
-    population.table.directions.push_back(direction_in_words(*direction));
-  }
+  if (!checks.empty()) population.directions = checks.front().scores;
+  attribution::PopulationTable& table = population.table;
+  for (const EffectScore& direction : population.directions)
+    table.directions.push_back(direction_in_words(direction));
   const auto count = static_cast<Eigen::Index>(rows.size()),
-             columns = static_cast<Eigen::Index>(asked.size());
-  population.table.score.resize(count, columns);
-  population.table.information.resize(count, columns);
+             columns = static_cast<Eigen::Index>(population.directions.size());
+  table.score.resize(count, columns);
+  table.information.resize(count, columns);
   for (Eigen::Index i = 0; i < count; ++i)
     for (Eigen::Index j = 0; j < columns; ++j) {
-      const Answers& row = rows[static_cast<std::size_t>(i)];
-      population.table.score(i, j) = row.scores[static_cast<std::size_t>(j)];
-      population.table.information(i, j) = row.informations[static_cast<std::size_t>(j)];
+      const EffectScore& score = (*rows[static_cast<std::size_t>(i)])[static_cast<std::size_t>(j)];
+      table.score(i, j) = score.score;
+      table.information(i, j) = score.information;
     }
-  population.table.groups = groups.list();
+  table.groups = groups.list();
   return population;
 }
 

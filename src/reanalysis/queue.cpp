@@ -124,10 +124,9 @@ Result<std::optional<Claim>> Queue::claim(const std::string& worker, std::chrono
   return connection_
       .guarded([&](pqxx::connection& connection) {
         pqxx::work transaction(connection);
-        const std::string give_up = fmt::format(kGiveUp, kNext);
+        static const std::string give_up = fmt::format(kGiveUp, kNext), take = fmt::format(kClaim, kNext);
         while (transaction.exec_params(give_up, kMostAttempts).affected_rows() > 0) continue;
-        const pqxx::result rows = transaction.exec_params(fmt::format(kClaim, kNext), worker,
-                                                          static_cast<double>(lease.count()));
+        const pqxx::result rows = transaction.exec_params(take, worker, static_cast<double>(lease.count()));
         transaction.commit();
         if (rows.empty()) return;
         const pqxx::row row = rows[0];

@@ -40,7 +40,7 @@ class LineScreen : public support::Archive {
     port_ = support::free_port();
     const std::string config = folder_.write(
         "station.toml",
-        fmt::format("[postgresql]\nhost = \"{}\"\ndatabase = \"line\"\nuser = \"line\"\n", server->host()));
+        support::Database::section(server->host()));
     support::give_to_server(folder_.path("."));
     jobs();  // brings the schema up to date
     worker_.start({CLAMPD_WORKER, "--config", config, "--name", "line-server:1", "--serve",

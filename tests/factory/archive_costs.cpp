@@ -74,20 +74,12 @@ double cpu_of_server_s(const support::Database& server) {
   return sum / static_cast<double>(::sysconf(_SC_CLK_TCK));
 }
 
-publish::PostgresqlSettings settings_of(const PublishedFactory& factory) {
-  publish::PostgresqlSettings settings;
-  settings.host = factory.server.host();
-  settings.database = settings.user = "line";
-  settings.raw_runs = true;
-  return settings;
-}
-
 /// Processor time of identification alone, in s a check.
 double identification_s(const PublishedFactory& factory) {
   reanalysis::Task task;
   task.limits = support::shipped_limits();
   publish::WakeEvent wake;
-  reanalysis::Queue queue(settings_of(factory));
+  reanalysis::Queue queue(factory.server.settings());
   if (const auto opened = queue.open(wake); !opened) throw std::runtime_error(opened.error().message);
   double identified_s = 0.0, unpacked_s = 0.0;
   std::size_t counted = 0;
@@ -142,7 +134,7 @@ void measure_queue(const PublishedFactory& factory, int waiting, int done) {
                   done, waiting + done));
   server.ask("ANALYZE clampd.queue");
   publish::WakeEvent wake;
-  reanalysis::Queue queue(settings_of(factory));
+  reanalysis::Queue queue(factory.server.settings());
   if (const auto opened = queue.open(wake); !opened) throw std::runtime_error(opened.error().message);
   constexpr int kTasks = 500;
   const double server_s = cpu_of_server_s(server);

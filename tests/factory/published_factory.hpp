@@ -34,8 +34,7 @@ class PublishedFactory {
   std::string read(const std::string& name) const { return folder_.read(name); }
   /// What a worker needs, through a socket in this folder.
   std::string configuration_for(const std::string& name, const std::string& host) const {
-    return folder_.write(
-        name, fmt::format("[postgresql]\nhost = \"{}\"\ndatabase = \"line\"\nuser = \"line\"\n", host));
+    return folder_.write(name, support::Database::section(host));
   }
 
   /// A job of all checks, of which nothing is known yet.

@@ -29,13 +29,7 @@ class Postgresql : public ::testing::Test {
     server = std::make_unique<support::Database>();
   }
 
-  PostgresqlSettings settings() const {
-    PostgresqlSettings settings;
-    settings.host = server->host();
-    settings.database = "line";
-    settings.user = "line";
-    return settings;
-  }
+  PostgresqlSettings settings() const { return server->settings(); }
   std::string arrived() const {
     return server->ask(
         "SELECT string_agg(outbox_sequence::text, ' ' ORDER BY published, outbox_sequence) FROM "

@@ -146,6 +146,17 @@ Database::Database() {
   pqxx::nontransaction(server).exec("CREATE DATABASE line");
 }
 
+publish::PostgresqlSettings Database::settings() const {
+  publish::PostgresqlSettings settings;
+  settings.host = host();
+  settings.database = settings.user = "line";
+  return settings;
+}
+
+std::string Database::section(const std::string& host) {
+  return fmt::format("[postgresql]\nhost = \"{}\"\ndatabase = \"line\"\nuser = \"line\"\n", host);
+}
+
 void Database::start() {
   process_.start({program("postgres"), "-D", folder_.path("data"), "-c", "listen_addresses=", "-c",
                   "unix_socket_directories=" + host(), "-c", "fsync=off", "-c", "shared_buffers=8MB"},

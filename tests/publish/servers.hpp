@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "clampd/publish/channel.hpp"
 #include "support/eventually.hpp"
 #include "support/network.hpp"
 #include "support/temporary_directory.hpp"
@@ -63,6 +64,10 @@ class Database {
   /// As a power cut does: recovery at the next start.
   void crash();
   std::string host() const { return folder_.path("socket"); }
+  /// As a station or worker has them.
+  publish::PostgresqlSettings settings() const;
+  /// The same as a section of a configuration, through a socket in this folder.
+  static std::string section(const std::string& host);
   std::string connection() const { return "host=" + host() + " dbname=line user=line connect_timeout=5"; }
   /// First field of the first row, as text.
   std::string ask(const std::string& sql) const;

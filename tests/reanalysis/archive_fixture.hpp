@@ -47,10 +47,7 @@ class Archive : public ::testing::Test {
   }
 
   publish::PostgresqlSettings settings() const {
-    publish::PostgresqlSettings settings;
-    settings.host = server->host();
-    settings.database = "line";
-    settings.user = "line";
+    publish::PostgresqlSettings settings = server->settings();
     settings.raw_runs = true;
     return settings;
   }

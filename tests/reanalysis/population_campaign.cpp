@@ -112,30 +112,11 @@ class Line {
 
 reanalysis::Population Line::population(const std::vector<const Scores*>& checks,
                                         const std::vector<int>& batches) const {
-  reanalysis::Population population;
-  population.directions = *checks.front();
-  attribution::PopulationTable& table = population.table;
-  const auto rows = static_cast<Eigen::Index>(checks.size()),
-             columns = static_cast<Eigen::Index>(population.directions.size());
-  table.score.resize(rows, columns);
-  table.information.resize(rows, columns);
-  for (const EffectScore& direction : population.directions)
-    table.directions.push_back(reanalysis::direction_in_words(direction));
-  table.groups.push_back({CheckGroup::Kind::Line, "", {}});
-  for (int s = 0; s < plan_.stations; ++s)
-    table.groups.push_back({CheckGroup::Kind::Station, fmt::format("{}", s), {}});
-  for (int b = 0; b < plan_.batches; ++b)
-    table.groups.push_back({CheckGroup::Kind::Batch, fmt::format("{}", b), {}});
-  for (std::size_t i = 0; i < checks.size(); ++i) {
-    for (std::size_t j = 0; j < checks[i]->size(); ++j) {
-      table.score(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) = (*checks[i])[j].score;
-      table.information(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) =
-          (*checks[i])[j].information;
-    }
-    for (const int group : {0, 1 + station_[i], 1 + plan_.stations + batches[i]})
-      table.groups[static_cast<std::size_t>(group)].checks.push_back(static_cast<int>(i));
-  }
-  return population;
+  std::vector<reanalysis::ScoredCheck> scored;
+  for (std::size_t i = 0; i < checks.size(); ++i)
+    scored.push_back({"", fmt::format("{}", i), fmt::format("{}", station_[i]), "",
+                      fmt::format("{}", batches[i]), *checks[i]});
+  return reanalysis::population_of(scored).value();
 }
 
 /// How the scores of clean checks are distributed, over the root of their information: mean 0, deviation 1 if

@@ -29,7 +29,7 @@ class ArchivePrograms : public support::Archive {
     publish(checks_of_a_station());
     config = folder.write(
         "station.toml",
-        fmt::format("[postgresql]\nhost = \"{}\"\ndatabase = \"line\"\nuser = \"line\"\n", server->host()));
+        support::Database::section(server->host()));
     // Servers, and the workers that are killed, run as another user where the test is root.
     support::give_to_server(folder.path("."));
   }

@@ -9,6 +9,7 @@
 
 #include "bench/embedded_check.hpp"
 #include "clampd/diagnose/effect_scores.hpp"
+#include "clampd/station/cause.hpp"
 #include "drivers/sim/effects.hpp"
 #include "support/drawn_brake.hpp"
 
@@ -33,9 +34,7 @@ inline std::vector<EffectScore> scored_check(std::uint64_t seed, std::uint32_t r
   prepared.configuration.check.diagnose = false;
   bench::EmbeddedStation station(std::move(prepared), brake);
   const CheckRecord check = station.run_check(bench::request(repeats), nullptr, nullptr).value();
-  std::vector<Run> runs;
-  for (const RunRecord& run : check.runs) runs.push_back(run.run);
-  Result<std::vector<EffectScore>> scores = score_effects(runs, BrakeParameters{});
+  Result<std::vector<EffectScore>> scores = score_effects(runs_of(check), BrakeParameters{});
   if (!scores) throw std::runtime_error(fmt::format("seed {}: {}", seed, scores.error().message));
   return std::move(*scores);
 }

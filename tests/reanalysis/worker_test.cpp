@@ -103,8 +103,11 @@ TEST_F(ArchiveWorkers, AskEachCheckAboutEveryEffect) {
 TEST(ArchivedPopulation, IsOfOneVersionAndOfScoresOnly) {
   const auto error = [](const std::vector<std::string>& documents) {
     std::vector<ScoredCheck> checks;
-    for (const std::string& document : documents)
-      checks.push_back({fmt::format("check-{}", checks.size()), fmt::format("EMB-{}", checks.size()), "north", "", "", document});
+    for (const std::string& document : documents) {
+      const auto scores = parse_scores(document);
+      if (!scores) return scores.error().message;
+      checks.push_back({fmt::format("check-{}", checks.size()), fmt::format("EMB-{}", checks.size()), "north", "", "", *scores});
+    }
     const auto population = population_of(checks);
     return population ? std::string("none") : population.error().message;
   };

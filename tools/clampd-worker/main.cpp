@@ -1,6 +1,5 @@
 #include <unistd.h>
 
-#include <csignal>
 #include <string>
 
 #include <fmt/format.h>
@@ -13,36 +12,16 @@
 #include "clampd/station/configuration.hpp"
 #include "tools/clampd-worker/server.hpp"
 #include "tools/cli/exit_code.hpp"
-#include "tools/cli/terminal.hpp"
+#include "tools/cli/output.hpp"
 
 namespace {
 
 constexpr const char* kInstalled = "/etc/clampd/station.toml";
 
-clampd::publish::WakeEvent& wake() {
-  static clampd::publish::WakeEvent event;
-  return event;
-}
-
-/// A signal gives the claim back, and ends the program after it.
-void end_on_signals() {
-  wake();  // made before any signal may come
-  struct sigaction action {};
-  action.sa_handler = [](int) { wake().stop(); };
-  sigaction(SIGTERM, &action, nullptr);
-  sigaction(SIGINT, &action, nullptr);
-  std::signal(SIGPIPE, SIG_IGN);
-}
-
 std::string host_and_process() {
   char host[256] = "";
   ::gethostname(host, sizeof host - 1);
   return fmt::format("{}:{}", host, ::getpid());
-}
-
-int refuse(const clampd::Error& error) {
-  clampd::cli::print_error(error.message);
-  return clampd::cli::kBadInput;
 }
 
 }  // namespace
@@ -92,16 +71,16 @@ int main(int argc, char** argv) {
 
   const Result<publish::PostgresqlSettings> archive =
       read_station_configuration(config).and_then(reanalysis::archive_of);
-  if (!archive) return refuse(archive.error());
+  if (!archive) return cli::refuse(archive.error());
   options.database = *archive;
-  end_on_signals();
+  publish::WakeEvent& wake = publish::stopped_by_signals();
   worker::Server server(options.name, options.database);
   if (!serve_at.empty()) {
-    if (const Result<void> started = server.start(serve_at); !started) return refuse(started.error());
+    if (const Result<void> started = server.start(serve_at); !started) return cli::refuse(started.error());
     options.report = [&server](const reanalysis::WorkerStatus& status) { server.set(status); };
   }
-  const Result<reanalysis::WorkerSummary> summary = reanalysis::work(options, wake());
-  if (!summary) return refuse(summary.error());
+  const Result<reanalysis::WorkerSummary> summary = reanalysis::work(options, wake);
+  if (!summary) return cli::refuse(summary.error());
   fmt::print("{} done ({} of them known before), {} failed, {} lost, {} given back\n", summary->done,
              summary->known, summary->failed, summary->lost, summary->given_back);
   return cli::kSuccess;

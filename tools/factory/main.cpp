@@ -1,4 +1,3 @@
-#include <csignal>
 #include <string>
 
 #include <fmt/format.h>
@@ -8,6 +7,7 @@
 #include "clampd/base/version.hpp"
 #include "clampd/publish/wake_event.hpp"
 #include "tools/cli/exit_code.hpp"
+#include "tools/cli/output.hpp"
 #include "tools/cli/terminal.hpp"
 #include "tools/factory/plan.hpp"
 #include "tools/factory/stations.hpp"
@@ -16,28 +16,9 @@ namespace {
 
 using namespace clampd;
 
-publish::WakeEvent& wake() {
-  static publish::WakeEvent event;
-  return event;
-}
-
-void end_on_signals() {
-  wake();  // made before any signal may come
-  struct sigaction action {};
-  action.sa_handler = [](int) { wake().stop(); };
-  sigaction(SIGTERM, &action, nullptr);
-  sigaction(SIGINT, &action, nullptr);
-  std::signal(SIGPIPE, SIG_IGN);
-}
-
-int refuse(const Error& error) {
-  cli::print_error(error.message);
-  return wake().stopped() ? cli::kAborted : cli::kBadInput;
-}
-
 int reveal(const std::string& folder) {
   const Result<factory::Settings> settings = factory::settings_of(folder);
-  if (!settings) return refuse(settings.error());
+  if (!settings) return cli::refuse(settings.error());
   fmt::print("{}: what this factory hides (seed {})\n", folder, settings->seed);
   for (const factory::Hidden& hidden : factory::hide(*settings))
     fmt::print("  {}\n", factory::describe(hidden, *settings));
@@ -46,12 +27,16 @@ int reveal(const std::string& folder) {
 
 int run(const std::string& folder, const factory::Settings& settings, const factory::Archive& archive) {
   if (const Result<void> furnished = factory::furnish(folder, settings, archive); !furnished)
-    return refuse(furnished.error());
+    return cli::refuse(furnished.error());
+  publish::WakeEvent& wake = publish::stopped_by_signals();
   cli::ProgressLine line;
   const Result<factory::Summary> summary = factory::run_stations(
-      folder, settings, wake(), [&line](double share, const std::string& words) { line.show(share, words); });
+      folder, settings, wake, [&line](double share, const std::string& words) { line.show(share, words); });
   line.clear();
-  if (!summary) return refuse(summary.error());
+  if (!summary) {
+    const int refused = cli::refuse(summary.error());
+    return wake.stopped() ? cli::kAborted : refused;
+  }
   fmt::print(
       "{} checks at {} stations over {} days, all in the database: {} PASS, {} FAIL, {} without a verdict; "
       "{:.0f} ms a check on one core\n",
@@ -111,6 +96,5 @@ int main(int argc, char** argv) {
   if (validated) return cli::kSuccess;
   // Few enough digits to be typed again.
   if (seed->count() == 0) settings.seed = entropy()() % 1'000'000U;
-  end_on_signals();
   return run(folder, settings, archive);
 }

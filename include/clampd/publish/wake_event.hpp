@@ -29,4 +29,7 @@ class WakeEvent {
   std::atomic<bool> stopped_{false};
 };
 
+/// The event of this process, which SIGTERM and SIGINT stop from the first call on; SIGPIPE is ignored then.
+WakeEvent& stopped_by_signals();
+
 }  // namespace clampd::publish

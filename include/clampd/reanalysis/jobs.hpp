@@ -93,7 +93,7 @@ class Jobs {
   Result<std::vector<JobResult>> results(std::int64_t job);
   /// Those checks that both have. `with`: another job; nothing: as it was recorded.
   Result<std::vector<ComparedCheck>> compared(std::int64_t job, std::optional<std::int64_t> with);
-  /// Those checks of a job of the kind score-effects that are done, in the order in which they were started.
+  /// Those checks of a job of the kind score-effects that are done, in the order in which they were started. Errors also: those of parse_scores().
   Result<std::vector<ScoredCheck>> scored(std::int64_t job);
   /// Tasks that failed, and those that were cancelled, wait again. How many.
   Result<std::int64_t> retry(std::int64_t job);

@@ -10,19 +10,19 @@
 
 namespace clampd::reanalysis {
 
-/// A check of a job of the kind score-effects.
+/// What a check of a job of the kind score-effects says.
 struct ScoredCheck {
   std::string check;
   std::string serial;
   std::string station;
-  std::string fixture;   ///< empty: none
-  std::string batch;     ///< empty: none
-  std::string document;  ///< clampd.effect_scores/1
+  std::string fixture;  ///< empty: none
+  std::string batch;    ///< empty: none
+  std::vector<EffectScore> scores;
 };
 
 /// The checks of a line with what they say about each effect.
 struct Population {
-  std::vector<EffectScore> directions;  ///< those of the table; score and information are not filled in
+  std::vector<EffectScore> directions;  ///< those of the table, with the first check's answers
   attribution::PopulationTable table;
   std::int64_t repeated = 0;  ///< checks left out: a brake counts once at each station, by its first check
 };
@@ -30,8 +30,11 @@ struct Population {
 /// "force-lag.time_constant"; what was chosen for it in brackets.
 attribution::Direction direction_in_words(const EffectScore& score);
 
-/// Puts together what checks, in chronological order, say. Errors: a document is none of
-/// clampd.effect_scores/1, or they are of versions whose effects differ.
+/// Scores as a document of clampd.effect_scores/1 has them. Errors: it is none, or of effects that this
+/// version does not know.
+Result<std::vector<EffectScore>> parse_scores(const std::string& document);
+
+/// Puts together what checks, in chronological order, say. Errors: they are of versions whose effects differ.
 Result<Population> population_of(const std::vector<ScoredCheck>& checks);
 
 }  // namespace clampd::reanalysis
