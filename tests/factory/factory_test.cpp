@@ -206,6 +206,15 @@ TEST_F(FactoryStations, PublishEachCheckOnceWithItsRunsAndTheSameAgain) {
   EXPECT_EQ(parameters[0].size(), 42U);
 }
 
+TEST_F(FactoryStations, ADatabaseThatIsNotThereIsSaidBeforeAnyCheck) {
+  const support::Outcome refused =
+      support::run_command(fmt::format("{} --folder {} --host {} --stations 2 --checks 6", CLAMPD_FACTORY,
+                                       folder.path("none"), folder.path("nowhere")));
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.output, HasSubstr("no connection"));
+  EXPECT_FALSE(std::filesystem::exists(folder.path("none")));
+}
+
 TEST_F(FactoryStations, SayWhatTheyHideOnlyWhenAskedAndReplaceNoFactory) {
   const support::Database server;
   const support::Outcome made = run("one", server);

@@ -26,9 +26,12 @@ int reveal(const std::string& folder) {
 }
 
 int run(const std::string& folder, const factory::Settings& settings, const factory::Archive& archive) {
-  if (const Result<void> furnished = factory::furnish(folder, settings, archive); !furnished)
-    return cli::refuse(furnished.error());
   publish::WakeEvent& wake = publish::stopped_by_signals();
+  if (const Result<void> made = factory::open_archive(archive, wake).and_then([&] {
+        return factory::furnish(folder, settings, archive);
+      });
+      !made)
+    return cli::refuse(made.error());
   cli::ProgressLine line;
   const Result<factory::Summary> summary = factory::run_stations(
       folder, settings, wake, [&line](double share, const std::string& words) { line.show(share, words); });

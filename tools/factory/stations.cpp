@@ -13,6 +13,7 @@
 #include "clampd/bench/embedded_station.hpp"
 #include "clampd/bench/prepared_station.hpp"
 #include "clampd/bench/publishing.hpp"
+#include "clampd/publish/channel.hpp"
 #include "clampd/record/file.hpp"
 #include "clampd/record/utc.hpp"
 
@@ -137,6 +138,15 @@ Result<void> run_station(const std::string& folder, int number, const std::vecto
 }
 
 }  // namespace
+
+Result<void> open_archive(const Archive& archive, const publish::WakeEvent& wake) {
+  publish::PostgresqlSettings settings;
+  settings.host = archive.host;
+  settings.port = archive.port;
+  settings.database = archive.database;
+  settings.user = archive.user;
+  return publish::make_postgresql_channel(settings)->connect({}, wake);
+}
 
 Result<void> furnish(const std::string& folder, const Settings& settings, const Archive& archive) {
   std::error_code error;

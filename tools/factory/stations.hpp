@@ -28,6 +28,10 @@ struct Summary {
   int checks() const { return passed + failed + invalid; }
 };
 
+/// Makes the database's schema, once, before the stations come all at the same time. Errors: it cannot be
+/// reached, or may not be changed.
+Result<void> open_archive(const Archive& archive, const publish::WakeEvent& wake);
+
 /// Writes into the folder, which is made if need be, what each station needs: station-1.toml, ... and
 /// archive.toml, for whoever works with the database only. What is hidden follows from the settings and
 /// stands nowhere. Errors: there is a factory in this folder already, or it cannot be written.
