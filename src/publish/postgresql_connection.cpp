@@ -229,6 +229,7 @@ std::string PostgresqlConnection::description(const std::string& password) const
 }
 
 Result<void> PostgresqlConnection::guarded(const std::function<void(pqxx::connection&)>& work) {
+  if (connection_ == nullptr) return failure(fmt::format("{}: no connection", where()));
   try {
     work(*connection_);
     return {};

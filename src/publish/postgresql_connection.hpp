@@ -27,7 +27,7 @@ class PostgresqlConnection {
   Result<void> migrate();
   /// Why this version cannot read the database: its schema is older or newer; empty if it can.
   Result<std::string> schema_refusal();
-  /// Calls `work` with the connection; what it throws becomes an error.
+  /// Calls `work` with the connection; what it throws becomes an error, and so does that there is none.
   Result<void> guarded(const std::function<void(pqxx::connection&)>& work);
   void close() noexcept { connection_.reset(); }
   /// "PostgreSQL: HOST, database NAME".

@@ -96,10 +96,13 @@ Result<void> Worker::settle(const Claim& claim, const std::function<Result<Writt
             "check {}: the lease had ended or the job was cancelled; this work is discarded", claim.check));
       return {};
     }
-    if (wake_.stopped() || Clock::now() >= end) return tl::unexpected(written.error());
-    wait_for_server(written.error());
-    if (const Result<std::string> connected = connect(); connected && !connected->empty())
-      return failure(*connected);
+    Result<std::string> refusal = tl::unexpected(written.error());
+    while (!refusal) {
+      if (wake_.stopped() || Clock::now() >= end) return tl::unexpected(refusal.error());
+      wait_for_server(refusal.error());
+      refusal = connect();
+    }
+    if (!refusal->empty()) return failure(*refusal);
   }
 }
 

@@ -180,7 +180,7 @@ TEST_F(LineScreen, SaysInWordsWhatIsMissing) {
   choose("24 h");
   EXPECT_TRUE(browser_->becomes("document.getElementById('notices').textContent === ''"))
       << browser_->text("#notices");
-  worker_.end(SIGTERM);
+  EXPECT_EQ(worker_.end(SIGTERM), 0);
   choose("1 year");
   EXPECT_TRUE(shows("#notices", "No answer from the worker")) << browser_->text("#notices");
 }

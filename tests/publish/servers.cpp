@@ -98,12 +98,13 @@ void ServerProcess::signal(int signal) const {
   if (process_ > 0) ::kill(process_, signal);
 }
 
-void ServerProcess::end(int signal) {
-  if (process_ <= 0) return;
+int ServerProcess::end(int signal) {
+  if (process_ <= 0) return 0;
   ::kill(process_, signal);
   int status = 0;
   ::waitpid(process_, &status, 0);
   process_ = -1;
+  return WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
 }
 
 std::string Broker::missing() {

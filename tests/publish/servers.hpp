@@ -18,8 +18,9 @@ class ServerProcess {
   ~ServerProcess() { end(9); }
   /// Standard output and error go to `log`.
   void start(const std::vector<std::string>& arguments, const std::string& log);
-  /// Sends the signal and waits until the process is gone.
-  void end(int signal);
+  /// Sends the signal and waits until the process is gone. Returns its exit code, or the number of the signal
+  /// that ended it, negative; 0 if it was not started.
+  int end(int signal);
   /// Sends it, and does not wait.
   void signal(int signal) const;
   bool running() const { return process_ > 0; }

@@ -104,7 +104,7 @@ TEST_F(ArchivePrograms, AWorkerSaysWhatItDoes) {
                     fmt::format("{} --config {} --until-empty --metrics {}", CLAMPD_WORKER, config, wrong))
                     .output,
                 HasSubstr("give an address and a port"));
-  worker.end(SIGTERM);
+  EXPECT_EQ(worker.end(SIGTERM), 0);
 }
 
 TEST_F(ArchivePrograms, AWorkerAnswersWhileTheDatabaseKeepsThePageOfTheLineWaiting) {
@@ -148,7 +148,7 @@ TEST_F(ArchivePrograms, AWorkerAnswersWhileTheDatabaseKeepsThePageOfTheLineWaiti
   const http::Answer refused = answer("/line.json?days=1");
   EXPECT_EQ(refused.status, 503);
   EXPECT_THAT(nlohmann::json::parse(refused.body)["error"], HasSubstr("clampd.parameters"));
-  worker.end(SIGTERM);
+  EXPECT_EQ(worker.end(SIGTERM), 0);
 }
 
 TEST_F(ArchivePrograms, AStoppedWorkerGivesItsTaskBack) {
@@ -229,7 +229,7 @@ TEST_F(ArchivePrograms, AJobOfScoresIsReadAsAPopulation) {
   said = clampctl("population last --json");
   ASSERT_EQ(said.exit_code, 0) << said.output;
   const auto found = nlohmann::json::parse(said.output);
-  EXPECT_EQ(found["schema"], "clampd.population/1");
+  EXPECT_EQ(found["schema"], "clampd.population/2");
   EXPECT_EQ(found["checks"], 4);
   EXPECT_TRUE(found["findings"].empty()) << "four checks tell nothing";
   EXPECT_THAT(clampctl("population last").output, HasSubstr("Neither the line nor any station"));

@@ -51,7 +51,13 @@ class SocketRelay {
     const std::lock_guard lock(mutex_);
     hold_after_ = std::move(text);
   }
-  /// Whether one did.
+  /// As soon as a client sends this text, which does not pass any more, it cuts.
+  void cut_at(std::string text) {
+    const std::lock_guard lock(mutex_);
+    cut_at_ = std::move(text);
+  }
+  bool is_cut() const { return cut_; }
+  /// Whether one is held after its text.
   bool holds_one() const { return holds_one_; }
 
  private:
@@ -113,6 +119,11 @@ class SocketRelay {
         hold_after_.clear();
         client->client_held = holds_one_ = true;
       }
+      if (!cut_at_.empty() && bytes.find(cut_at_) != std::string_view::npos) {
+        cut_at_.clear();
+        cut_ = true;
+        return false;
+      }
     }
     for (std::size_t sent = 0; sent < bytes.size();) {
       const ssize_t part = ::send(to, bytes.data() + sent, bytes.size() - sent, MSG_NOSIGNAL);
@@ -131,7 +142,7 @@ class SocketRelay {
   int listening_ = -1;
   std::atomic<bool> held_{false}, cut_{false}, holds_one_{false};
   std::mutex mutex_;
-  std::string hold_after_;
+  std::string hold_after_, cut_at_;
   std::list<Pair> pairs_;  ///< of the thread
   std::jthread thread_;    ///< last: it uses all of the above
 };
