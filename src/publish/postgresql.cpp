@@ -56,7 +56,7 @@ void insert_raw_runs(pqxx::work& transaction, const CheckRecord& record) {
   for (const RunRecord& run : record.runs)
     if (run.run.size() > 0)  // else retention removed it before raw runs were published, or it is damaged
       transaction.exec_params(kInsertRawRun, run.checksum_sha256, record.started,
-                              pqxx::binarystring(compressed(format_run(run.run))));
+                              pqxx::binarystring(compressed_smaller(format_run(run.run))));
 }
 
 class PostgresqlChannel final : public Channel {
