@@ -74,51 +74,58 @@ double cpu_of_server_s(const support::Database& server) {
   return sum / static_cast<double>(::sysconf(_SC_CLK_TCK));
 }
 
-/// Processor time of identification alone, in s a check.
-double identification_s(const PublishedFactory& factory) {
+/// Processor time of a worker beside identification, in s a check.
+struct WorkersShare {
+  double reading_s = 0.0;   ///< the check and its runs, unpacked
+  double claiming_s = 0.0;  ///< and writing the result
+};
+
+double reading_s(const PublishedFactory& factory) {
   reanalysis::Task task;
   task.limits = support::shipped_limits();
   publish::WakeEvent wake;
   reanalysis::Queue queue(factory.server.settings());
   if (const auto opened = queue.open(wake); !opened) throw std::runtime_error(opened.error().message);
-  double identified_s = 0.0, unpacked_s = 0.0;
+  double identified_s = 0.0, read_s = 0.0;
   std::size_t counted = 0;
-  for (const std::string& id : factory.server.column("SELECT id FROM clampd.checks ORDER BY id LIMIT 500")) {
-    const auto check = queue.check(id).value();
+  for (const std::string& id : factory.server.column("SELECT id FROM clampd.checks ORDER BY id LIMIT 200")) {
     const double begin_s = cpu_of_this_thread_s();
+    const auto check = queue.check(id).value();
     auto runs = reanalysis::unpack_runs(check).value();
-    const double unpacked_at_s = cpu_of_this_thread_s();
+    const double read_at_s = cpu_of_this_thread_s();
     reanalysis::analyse(check, std::move(runs), task, "", [] { return false; });
-    unpacked_s += unpacked_at_s - begin_s;
-    identified_s += cpu_of_this_thread_s() - unpacked_at_s;
+    read_s += read_at_s - begin_s;
+    identified_s += cpu_of_this_thread_s() - read_at_s;
     ++counted;
   }
   const double checks = static_cast<double>(counted);
-  fmt::print("identification {:.1f} ms of processor time a check, unpacking its runs {:.2f} ms ({} checks)\n",
-             1e3 * identified_s / checks, 1e3 * unpacked_s / checks, counted);
-  return identified_s / checks;
+  fmt::print("a worker's processor time a check, in ms: identification {:.1f}, reading its runs {:.2f}\n",
+             1e3 * identified_s / checks, 1e3 * read_s / checks);
+  return read_s / checks;
 }
 
-void measure_rate(const PublishedFactory& factory, int workers, double identified_s) {
+void measure_rate(const PublishedFactory& factory, int workers, const WorkersShare& share) {
   factory.submit();
   const double server_s = cpu_of_server_s(factory.server), children_s = cpu_of_children_s();
   const Clock::time_point begin = Clock::now();
   factory.finish(workers);
   const double took_s = since_s(begin);
-  const double of_server_s = cpu_of_server_s(factory.server) - server_s;
-  const double of_workers_s = cpu_of_children_s() - children_s;
-  const double all_s = of_server_s + of_workers_s;
   const double checks = factory.checks();
+  const double of_server_s = (cpu_of_server_s(factory.server) - server_s) / checks;
+  const double of_workers_s = (cpu_of_children_s() - children_s) / checks;
+  const double beside_s = of_server_s + share.reading_s + share.claiming_s;
   fmt::print(
       "{} workers: {} checks in {:.1f} s, {:.1f} a second; processor time a check: workers {:.1f} ms, "
-      "PostgreSQL {:.2f} ms; beside identification {:.1f} % of all; {}\n",
-      workers, factory.checks(), took_s, checks / took_s, 1e3 * of_workers_s / checks,
-      1e3 * of_server_s / checks, 100.0 * (all_s - identified_s * checks) / all_s,
+      "PostgreSQL {:.2f} ms; queue and storage {:.1f} % of all; {}\n",
+      workers, factory.checks(), took_s, checks / took_s, 1e3 * of_workers_s, 1e3 * of_server_s,
+      100.0 * beside_s / (of_workers_s + of_server_s),
       factory.digest() == factory.reference() ? "the same results" : "OTHER RESULTS");
+  std::fflush(stdout);
 }
 
-/// Time for a task from its claim to its result, without the work, where so many rows wait and were done.
-void measure_queue(const PublishedFactory& factory, int waiting, int done) {
+/// For a task from its claim to its result, without the work, where so many rows wait and were done. Returns
+/// the worker's processor time, in s.
+double measure_queue(const PublishedFactory& factory, int waiting, int done) {
   const support::Database& server = factory.server;
   factory.submit();
   const int jobs = (waiting + done + factory.checks() - 1) / factory.checks();
@@ -137,7 +144,7 @@ void measure_queue(const PublishedFactory& factory, int waiting, int done) {
   reanalysis::Queue queue(factory.server.settings());
   if (const auto opened = queue.open(wake); !opened) throw std::runtime_error(opened.error().message);
   constexpr int kTasks = 500;
-  const double server_s = cpu_of_server_s(server);
+  const double server_s = cpu_of_server_s(server), own_s = cpu_of_this_thread_s();
   const Clock::time_point begin = Clock::now();
   for (int task = 0; task < kTasks; ++task) {
     const auto claim = queue.claim("costs", 60s).value();
@@ -147,6 +154,7 @@ void measure_queue(const PublishedFactory& factory, int waiting, int done) {
   fmt::print(
       "queue with {} rows waiting and {} done: {:.2f} ms a task, {:.2f} ms of PostgreSQL's processor time\n",
       waiting, done, 1e3 * since_s(begin) / kTasks, 1e3 * (cpu_of_server_s(server) - server_s) / kTasks);
+  return (cpu_of_this_thread_s() - own_s) / kTasks;
 }
 
 void measure_disk(const PublishedFactory& factory) {
@@ -173,13 +181,15 @@ void measure(int checks, int repeats) {
   ::getloadavg(load, 1);
   fmt::print("{} processors, load {:.1f} as it begins; {} checks of {} repeats\n",
              std::thread::hardware_concurrency(), load[0], checks, repeats);
-  const PublishedFactory factory(checks, repeats);
+  PublishedFactory factory(checks, repeats);
+  fmt::print("PostgreSQL's processor time to publish a check: {:.2f} ms\n",
+             1e3 * cpu_of_server_s(factory.server) / checks);
+  factory.make_reference();
   measure_disk(factory);
-  const double identified_s = identification_s(factory);
-  for (const int workers : {1, 2, 1, 2}) measure_rate(factory, workers, identified_s);
-  measure_queue(factory, 1'000, 0);
+  WorkersShare share{reading_s(factory), measure_queue(factory, 1'000, 0)};
   measure_queue(factory, 100'000, 0);
   measure_queue(factory, 1'000, 99'000);
+  for (const int workers : {1, 2, 1, 2}) measure_rate(factory, workers, share);
 }
 
 }  // namespace

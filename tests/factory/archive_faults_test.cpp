@@ -1,5 +1,5 @@
 // What must hold of the archive whatever happens to its workers, their connection, its server and its disk.
-// More than by default: --checks 10000 --kills 500 (docs/line.md has the figures).
+// More than by default: --checks 10000 --kills 500 --diagnosed 200 (docs/line.md has the figures).
 
 #include <sched.h>
 #include <sys/mount.h>
@@ -32,6 +32,7 @@ using ::testing::HasSubstr;
 int checks = 60;
 int kills = 20;
 int disturbances = 3;  ///< of each other kind
+int diagnosed = 8;     ///< checks
 
 constexpr int kShortLease_s = 3;  ///< the shortest that there is
 
@@ -46,6 +47,7 @@ class ArchiveFaults : public ::testing::Test {
   static void SetUpTestSuite() {
     if (!support::Database::missing().empty()) return;
     published = std::make_unique<PublishedFactory>(checks);
+    published->make_reference();
   }
   static void TearDownTestSuite() { published.reset(); }
   void SetUp() override {
@@ -97,6 +99,17 @@ TEST_F(ArchiveFaults, TwoWorkersSayWhatOneSays) {
   expect_nothing_lost_or_doubled("two workers");
 }
 
+TEST_F(ArchiveFaults, TwoWorkersDiagnoseAsOneDoes) {
+  PublishedFactory factory(diagnosed);
+  factory.ask("--diagnose");
+  factory.make_reference();
+  factory.submit();
+  expect_nothing_lost_or_doubled(factory, "diagnosed by two workers");
+  EXPECT_EQ(factory.server.ask("SELECT count(DISTINCT worker) FROM clampd.results"), "2");
+  EXPECT_EQ(factory.server.ask("SELECT count(*) FROM clampd.results WHERE document LIKE '%clampd.archived_diagnosis/1%'"),
+            std::to_string(diagnosed));
+}
+
 TEST_F(ArchiveFaults, WorkersKilledAtAnyInstant) {
   std::mt19937_64 random(20261128);
   std::array<support::ServerProcess, 2> workers;
@@ -134,8 +147,8 @@ TEST_F(ArchiveFaults, AWorkerThatSleepsPastItsLeaseWritesNothing) {
     })) << "nobody takes over what the sleeper has";
     sleeper.signal(SIGCONT);
   }
-  sleeper.end(SIGTERM);
-  other.end(SIGTERM);
+  EXPECT_EQ(sleeper.end(SIGTERM), 0) << published->read("sleeper.log");
+  EXPECT_EQ(other.end(SIGTERM), 0) << published->read("other.log");
   EXPECT_THAT(published->read("sleeper.log"), HasSubstr("this work is discarded"));
   expect_nothing_lost_or_doubled(fmt::format("{} workers suspended past their lease", disturbances));
 }
@@ -151,7 +164,7 @@ TEST_F(ArchiveFaults, TheServerRestartsAndCrashes) {
     restart % 2 == 0 ? server().crash() : server().stop();
     server().start();
   }
-  for (support::ServerProcess& worker : workers) worker.end(SIGTERM);
+  for (support::ServerProcess& worker : workers) EXPECT_EQ(worker.end(SIGTERM), 0);
   EXPECT_THAT(published->read("restarts-0.log"), HasSubstr("trying again in"));
   expect_nothing_lost_or_doubled(
       fmt::format("{} restarts of the server, every other one a crash", disturbances));
@@ -178,7 +191,7 @@ TEST_F(ArchiveFaults, TheConnectionIsCutOrHeldForLongerThanALease) {
     relay.release();
     published->submit();
   }
-  relayed.end(SIGTERM);
+  EXPECT_EQ(relayed.end(SIGTERM), 0) << published->read("relayed.log");
   EXPECT_THAT(published->read("relayed.log"), HasSubstr("trying again in"));
   expect_nothing_lost_or_doubled(fmt::format("{0} cuts of the connection, {0} times held", disturbances));
 }
@@ -239,6 +252,7 @@ TEST_F(ArchiveFaults, TheServersDiskIsFull) {
   SmallDisk disk("192m");
   if (!disk.problem().empty()) GTEST_SKIP() << disk.problem();
   PublishedFactory small(std::min(checks, 100));  // that fit onto it
+  small.make_reference();
   small.submit();
   std::array<support::ServerProcess, 2> workers;
   for (std::size_t number = 0; number < workers.size(); ++number)
@@ -257,7 +271,7 @@ TEST_F(ArchiveFaults, TheServersDiskIsFull) {
   small.server.stop();
   small.server.start();
   EXPECT_TRUE(eventually([&] { return open_of(small) == 0; })) << "the workers go on by themselves";
-  for (support::ServerProcess& worker : workers) worker.end(SIGTERM);
+  for (support::ServerProcess& worker : workers) EXPECT_EQ(worker.end(SIGTERM), 0);
   expect_nothing_lost_or_doubled(small, "a full disk");
 }
 
@@ -269,6 +283,7 @@ int main(int argc, char** argv) {
   for (int i = 1; i + 1 < argc; ++i) {
     if (std::strcmp(argv[i], "--checks") == 0) clampd::factory::checks = std::atoi(argv[i + 1]);
     if (std::strcmp(argv[i], "--kills") == 0) clampd::factory::kills = std::atoi(argv[i + 1]);
+    if (std::strcmp(argv[i], "--diagnosed") == 0) clampd::factory::diagnosed = std::atoi(argv[i + 1]);
     if (std::strcmp(argv[i], "--disturbances") == 0) clampd::factory::disturbances = std::atoi(argv[i + 1]);
   }
   return RUN_ALL_TESTS();

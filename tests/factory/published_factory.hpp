@@ -12,7 +12,7 @@
 
 namespace clampd::factory {
 
-/// The checks of a factory in a database of their own, and jobs that identify all of them anew.
+/// The checks of a factory in a database of their own, and jobs that do all of them anew.
 class PublishedFactory {
  public:
   /// Programs as CMake names them. Throws what the factory said if it failed.
@@ -24,6 +24,10 @@ class PublishedFactory {
     configuration_ = configuration_for("worker.toml", server.host());
     // Workers run as another user where the test is root.
     support::give_to_server(folder_.path("."));
+  }
+
+  /// One undisturbed worker does all of it.
+  void make_reference() {
     submit();
     finish(1);
     reference_ = digest();
@@ -42,8 +46,10 @@ class PublishedFactory {
     server.ask("DELETE FROM clampd.queue");
     server.ask("DELETE FROM clampd.jobs");
     server.ask("DELETE FROM clampd.results");
-    archive("submit");
+    archive("submit" + options_);
   }
+  /// What jobs ask beside identification, from now on.
+  void ask(const std::string& options) { options_ = " " + options; }
   void archive(const std::string& words) const {
     run(fmt::format("{} --config {} archive {}", CLAMPCTL, configuration_, words));
   }
@@ -65,7 +71,7 @@ class PublishedFactory {
   std::string count(const std::string& state) const {
     return server.ask("SELECT count(*) FROM clampd.queue WHERE state = '" + state + "'");
   }
-  /// What digest() was when one undisturbed worker had done all.
+  /// What digest() was then.
   const std::string& reference() const { return reference_; }
   /// SHA-256 over all results, in the order of their checks.
   std::string digest() const {
@@ -85,6 +91,7 @@ class PublishedFactory {
   int checks_;
   support::TemporaryDirectory folder_;
   std::string configuration_;
+  std::string options_;
   std::string reference_;
 };
 
