@@ -3,37 +3,40 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <iterator>
 #include <limits>
-#include <numeric>
-#include <optional>
 #include <span>
+#include <utility>
 
 #include "clampd/statistics/distributions.hpp"
-#include "clampd/statistics/median.hpp"
-#include "clampd/statistics/symmetric.hpp"
+#include "src/attribution/score_model.hpp"
 
 namespace clampd::attribution {
 namespace {
 
 using Suspect = PopulationFinding::Suspect;
 
-constexpr double kMedianToDeviation = 1.4826;
-constexpr double kFarthest = 3.0;   // deviations; what lies farther from its group counts as if it lay there
-constexpr double kRivalNats = 3.0;  // a rival is at most so much less likely: one in twenty
-constexpr double kSmallestProbability = 1e-290;  // below, Student's t has no other than its asymptote
+constexpr double kRivalNats = 3.0;               // a rival is at most so much less likely: one in twenty
+constexpr double kSmallestProbability = 1e-290;  // below, Fisher's F has no other than its asymptote
 constexpr double kChanceOfSpread = 0.1;
+constexpr double kAlone = 5.0;  // deviations between the others
 constexpr double kSameChecks = 0.8;
-constexpr double kLeastOwn = 1e-6;
-constexpr double kLeastLeft =
-    1e-3;  // of a direction's scatter, beside another: with less it is the same direction
+constexpr std::size_t kFewestToDiffer = 3;  // stations: of two, one differs from the other
 // All checks share what the estimates are biased by (nonlinearity, rounding of time), a part of their own
 // deviation; between groups most of it cancels. What is smaller for a typical check is not named, however
 // many checks there are.
 constexpr double kLeastOfLine = 0.5, kLeastOfGroup = 0.1;
-constexpr std::array kKindsBesideTheLine{CheckGroup::Kind::Station, CheckGroup::Kind::Fixture,
-                                         CheckGroup::Kind::Batch};
-constexpr int kLine = 0, kNoGroup = -1;  // numbers of groups
+// Scores are linear in what is small. Of what one strength is thought to move another by, so much may be
+// wrong.
+constexpr double kNonlinear = 0.05;
+// In directions that it does not move in proportion, a large strength looks like so much of itself.
+constexpr double kBesideLarge = 0.03;
+constexpr double kLinear = 1.0;  // deviations of one check: what is smaller is small
+constexpr std::array kKindsWithinStations{CheckGroup::Kind::Fixture, CheckGroup::Kind::Batch};
+constexpr double kExchangeNats = 1e-6;  // more than rounding
+constexpr int kMostExchanges = 20;
+constexpr int kLine = 0, kNoGroup = -1, kStations = -2;  // in place of a group's number
 
 /// Whether groups have most of their checks in common, so that nothing tells which of them has an effect.
 bool are_nearly_same(const CheckGroup& a, const CheckGroup& b) {
@@ -44,35 +47,118 @@ bool are_nearly_same(const CheckGroup& a, const CheckGroup& b) {
          kSameChecks * static_cast<double>(std::max(a.checks.size(), b.checks.size()));
 }
 
+/// What a group has of a direction by its own checks.
+struct Estimate {
+  int group = 0;
+  double size = 0.0, variance = 0.0;
+  double largest_beside = 0.0;
+  Eigen::Index station = 0;  ///< among the model's, of a station
+};
+
+Estimate estimate_of(const ScoreModel::Fit& fit, const Strength& strength, int group) {
+  return {group, strength.size,
+          fit.overdispersion * strength.variance + std::pow(kNonlinear * strength.moved, 2),
+          strength.largest_beside};
+}
+
 /// A candidate beside what is selected already.
 struct Trial {
-  Suspect suspect;
-  double size = 0.0, sd = std::numeric_limits<double>::infinity(), t = 0.0, degrees = 1.0;
-  double surprise = 0.0;  ///< -ln of the probability of as much without a cause
+  Suspect suspect;  ///< the group may be kStations: that they differ
+  double size = 0.0, sd = std::numeric_limits<double>::infinity();
+  double square = 0.0, directions = 1.0, degrees = 1.0;  ///< Fisher's F, times the first of its degrees
+  double largest_beside = 0.0;  ///< of another strength that the same checks have, as one check shows it
+  double surprise = 0.0;        ///< -ln of the probability of as much without a cause
 };
 
-/// The scores of a direction when the groups beside a candidate have taken of them what they can.
-struct Rest {
-  Eigen::MatrixXd columns;  ///< of those groups
-  statistics::ScaledFactor factor;
-  Eigen::VectorXd left;
-};
-
+/// Variance of a strength between groups, beyond what their checks explain.
 struct Spread {
   double variance = 0.0;
   int groups = 0;
 };
 
+/// A mean of groups and its variance.
+struct Mean {
+  double size = 0.0, variance = std::numeric_limits<double>::infinity();
+};
+
+double largest_beside(std::span<const Estimate> estimates) {
+  double largest = 0.0;
+  for (const Estimate& each : estimates) largest = std::max(largest, each.largest_beside);
+  return largest;
+}
+
+Mean mean_of(std::span<const Estimate> estimates, double between, int without = kNoGroup) {
+  double weights = 0.0, sum = 0.0;
+  for (const Estimate& each : estimates) {
+    if (each.group == without) continue;
+    const double weight = 1.0 / (each.variance + between);
+    weights += weight;
+    sum += weight * each.size;
+  }
+  return weights > 0.0 ? Mean{sum / weights, 1.0 / weights} : Mean{};
+}
+
+/// Adds the weights of that mean, times a factor, to those of the stations.
+void add_weights_of_mean(std::span<const Estimate> estimates, double between, int without, double factor,
+                         Eigen::VectorXd& weights) {
+  const double of_mean = mean_of(estimates, between, without).variance;
+  for (const Estimate& each : estimates)
+    if (each.group != without) weights[each.station] += factor * of_mean / (each.variance + between);
+}
+
+/// Cochran's Q and the spread that it tells of (DerSimonian, Laird 1986).
+struct Heterogeneity {
+  double q = 0.0;
+  Spread spread;
+};
+
+Heterogeneity heterogeneity_of(std::span<const Estimate> estimates, int without = kNoGroup) {
+  Heterogeneity result;
+  const double mean = mean_of(estimates, 0.0, without).size;
+  double weights = 0.0, squares = 0.0;
+  for (const Estimate& each : estimates) {
+    if (each.group == without) continue;
+    const double weight = 1.0 / each.variance;
+    weights += weight;
+    squares += weight * weight;
+    result.q += weight * (each.size - mean) * (each.size - mean);
+    ++result.spread.groups;
+  }
+  const double degrees = result.spread.groups - 1;
+  if (degrees >= 1.0)
+    result.spread.variance = std::max(0.0, (result.q - degrees) / (weights - squares / weights));
+  return result;
+}
+
+/// What chance alone explains would cost a few groups most of what they can tell, and is no spread.
+Spread spread_between(const Heterogeneity& found) {
+  if (found.spread.groups < 2) return {};
+  if (statistics::chi_squared_p_value(found.q, found.spread.groups - 1) > kChanceOfSpread)
+    return {0.0, found.spread.groups};
+  return found.spread;
+}
+
+/// The spread between the others that a group of this size has to stand out from: none if they differ by so
+/// much less that it alone is another.
+Spread spread_beside(double size, const Heterogeneity& others, double least_surprise) {
+  const Spread spread = spread_between(others);
+  if (spread.variance > 0.0 && size * size > kAlone * kAlone * spread.variance &&
+      statistics::chi_squared_p_value(others.q, others.spread.groups - 1) > std::exp(-least_surprise))
+    return {0.0, spread.groups};
+  return spread;
+}
+
 double surprise_of(const Trial& trial) {
-  const double square = trial.t * trial.t;
-  const double p = statistics::fisher_f_p_value(square, 1.0, trial.degrees);
-  return p > kSmallestProbability ? -std::log(p) : 0.5 * trial.degrees * std::log1p(square / trial.degrees);
+  const double p =
+      statistics::fisher_f_p_value(trial.square / trial.directions, trial.directions, trial.degrees);
+  return p > kSmallestProbability ? -std::log(p)
+                                  : 0.5 * trial.degrees * std::log1p(trial.square / trial.degrees);
 }
 
 class Search {
  public:
-  Search(const PopulationTable& table, const PopulationOptions& options) : table_(table), options_(options) {
-    standardise();
+  Search(const PopulationTable& table, const PopulationOptions& options)
+      : table_(table), options_(options), model_(table) {
     for (std::size_t g = 0; g < table.groups.size(); ++g)
       if (is_large_enough(table.groups[g])) looked_at_.push_back(static_cast<int>(g));
   }
@@ -80,249 +166,255 @@ class Search {
   PopulationResult run();
 
  private:
-  void standardise();
   bool is_large_enough(const CheckGroup& group) const;
   const CheckGroup& group(int number) const { return table_.groups[static_cast<std::size_t>(number)]; }
-  bool has(int group) const;
-  bool is_selected(const Suspect& suspect) const;
-  std::vector<int> beside(int group) const;
-  /// The scores of a direction as the candidates of a group see them: less what follows from the directions
-  /// that the group has.
-  Eigen::VectorXd response(int direction, int group) const;
-  Rest rest_beside(int direction, int group) const;
-  Trial trial(int direction, int group, const Rest& rest) const;
-  Spread spread_between(CheckGroup::Kind kind, int without, std::span<const Trial> trials) const;
-  void allow_for_spread(Trial& trial, std::span<const Trial> trials) const;
-  double of_one_check(const Trial& trial) const;
-  std::vector<Trial> trials() const;
+  bool is_looked_at(int group) const {
+    return std::find(looked_at_.begin(), looked_at_.end(), group) != looked_at_.end();
+  }
+  bool is_selected(const Suspect& suspect) const {
+    return std::find(selected_.begin(), selected_.end(), suspect) != selected_.end();
+  }
+  double of_one_check(const Trial& trial) const {
+    return std::abs(trial.size) * model_.of_one_check(trial.suspect.direction);
+  }
+  std::vector<Estimate> stations_of(const ScoreModel::Fit& fit) const;
+  Trial of_line(const ScoreModel::Fit& fit, std::span<const Estimate> stations,
+                std::span<const std::vector<Estimate>> within) const;
+  Trial of_station(const ScoreModel::Fit& fit, std::span<const Estimate> stations, const Estimate& own) const;
+  Trial of_difference(const ScoreModel::Fit& fit, std::span<const Estimate> stations) const;
+  void judge(Trial& trial) const;
+  std::vector<Trial> trials_of(int direction) const;
+  std::vector<Trial> trials_beside(const std::vector<Suspect>& selected);
+  bool exchange_one(std::vector<Suspect>& selected);
+  std::vector<Suspect> select();
   std::vector<Suspect> rivals(std::span<const Trial> before, std::span<const Trial> after,
-                              const Trial& chosen, double level) const;
+                              const Trial& chosen) const;
+  void conclude(const std::vector<Suspect>& selected, PopulationResult& result);
+  void add_levels(PopulationResult& result) const;
 
   const PopulationTable& table_;
   const PopulationOptions& options_;
-  Eigen::MatrixXd z_;       ///< scores over the root of their information, far ones moved nearer
-  Eigen::MatrixXd weight_;  ///< that root: what a strength of one moves z by
-  Eigen::MatrixXd within_;  ///< z less its station's mean
+  ScoreModel model_;
   std::vector<int> looked_at_;
   std::vector<Suspect> selected_;
-  std::vector<int> closed_;  ///< groups in which nothing more is looked for
+  double least_surprise_ = 0.0;  ///< of what is found
 };
 
 bool Search::is_large_enough(const CheckGroup& group) const {
   const auto size = static_cast<Eigen::Index>(group.checks.size());
   return size >= kFewestOfGroup &&
-         (group.kind == CheckGroup::Kind::Line || z_.rows() - size >= kFewestOfGroup);
+         (group.kind == CheckGroup::Kind::Line || model_.checks() - size >= kFewestOfGroup);
 }
 
-void Search::standardise() {
-  const Eigen::Index rows = table_.score.rows(), columns = table_.score.cols();
-  weight_ = table_.information.cwiseMax(0.0).cwiseSqrt();
-  z_ = (weight_.array() > 0.0).select(table_.score.array() / weight_.array(), 0.0).matrix();
-  within_ = z_;
-  std::vector<std::vector<int>> parts;
-  for (const CheckGroup& each : table_.groups)
-    if (each.kind == CheckGroup::Kind::Station) parts.push_back(each.checks);
-  if (parts.empty()) {
-    parts.emplace_back(static_cast<std::size_t>(rows));
-    std::iota(parts.front().begin(), parts.front().end(), 0);
+/// Of those that are known to have the direction there is none here: they are no measure of the others.
+std::vector<Estimate> Search::stations_of(const ScoreModel::Fit& fit) const {
+  std::vector<Estimate> estimates;
+  for (std::size_t s = 0; s < fit.stations.size(); ++s) {
+    const Strength& strength = fit.stations[s].strength;
+    const int number = model_.group_of(s);
+    if (!strength.is_known() || is_selected({fit.direction, number})) continue;
+    estimates.push_back(estimate_of(fit, strength, number));
+    estimates.back().station = static_cast<Eigen::Index>(s);
   }
-  for (Eigen::Index j = 0; j < columns; ++j) {
-    std::vector<double> away;
-    std::vector<double> middles;
-    for (const std::vector<int>& part : parts) {
-      std::vector<double> values;
-      for (const int i : part) values.push_back(z_(i, j));
-      middles.push_back(statistics::median(values));
-      for (const double value : values) away.push_back(std::abs(value - middles.back()));
-    }
-    const double farthest = kFarthest * kMedianToDeviation * statistics::median(away);
-    for (std::size_t part = 0; part < parts.size(); ++part) {
-      double mean = 0.0;
-      for (const int i : parts[part]) {
-        z_(i, j) = std::clamp(z_(i, j), middles[part] - farthest, middles[part] + farthest);
-        mean += z_(i, j) / static_cast<double>(parts[part].size());
-      }
-      for (const int i : parts[part]) within_(i, j) = z_(i, j) - mean;
-    }
+  return estimates;
+}
+
+void Search::judge(Trial& trial) const {
+  if (!std::isfinite(trial.sd) || !(trial.sd > 0.0)) return;
+  const bool is_possible =
+      trial.size > 0.0 || !table_.directions[static_cast<std::size_t>(trial.suspect.direction)].is_one_sided;
+  const double least =
+      (trial.suspect.group == kLine ? kLeastOfLine : kLeastOfGroup) + kBesideLarge * trial.largest_beside;
+  if (is_possible && of_one_check(trial) > least) trial.surprise = surprise_of(trial);
+}
+
+/// A deviation of several parts is known by as many degrees of freedom as they are (Satterthwaite 1946).
+class Variance {
+ public:
+  Variance(double variance, double degrees) { add(variance, degrees); }
+  void add(double variance, double degrees) {
+    variance_ += variance;
+    of_variance_ += variance * variance / std::max(1.0, degrees);
   }
-}
-
-bool Search::is_selected(const Suspect& suspect) const {
-  return std::find(selected_.begin(), selected_.end(), suspect) != selected_.end();
-}
-
-bool Search::has(int number) const {
-  return std::any_of(selected_.begin(), selected_.end(),
-                     [&](const Suspect& each) { return each.group == number; });
-}
-
-Eigen::VectorXd Search::response(int direction, int number) const {
-  std::vector<int> known;
-  for (const Suspect& each : selected_)
-    if (each.group == number) known.push_back(each.direction);
-  if (known.empty()) return z_.col(direction);
-  const auto count = static_cast<Eigen::Index>(known.size());
-  Eigen::MatrixXd within(z_.rows(), count), all(z_.rows(), count);
-  for (Eigen::Index k = 0; k < count; ++k) {
-    within.col(k) = within_.col(known[static_cast<std::size_t>(k)]);
-    all.col(k) = z_.col(known[static_cast<std::size_t>(k)]);
+  void put_into(Trial& trial) const {
+    if (!(variance_ > 0.0) || !std::isfinite(variance_)) return;
+    trial.sd = std::sqrt(variance_);
+    trial.square = trial.size * trial.size / variance_;
+    trial.degrees = variance_ * variance_ / of_variance_;
   }
-  // How two directions' scores go together from check to check is how one strength moves the other's score.
-  const statistics::ScaledFactor factor(within.transpose() * within, 1e-9);
-  const Eigen::VectorXd share = factor.solve(within.transpose() * within_.col(direction));
-  if ((within_.col(direction) - within * share).squaredNorm() <
-      kLeastLeft * within_.col(direction).squaredNorm())
-    return Eigen::VectorXd::Zero(z_.rows());
-  return z_.col(direction) - all * share;
-}
 
-/// Groups whose checks may have anything when one is looked at. Beside a batch each station has a level of
-/// its own, so that what stations differ by hides nothing of the batches; beside any other group but the
-/// line, the line.
-std::vector<int> Search::beside(int number) const {
-  std::vector<int> groups;
-  const bool is_batch = number >= 0 && group(number).kind == CheckGroup::Kind::Batch;
-  for (std::size_t g = 0; g < table_.groups.size() && is_batch; ++g)
-    if (table_.groups[g].kind == CheckGroup::Kind::Station) groups.push_back(static_cast<int>(g));
-  if (groups.empty() && number != kLine) groups.push_back(kLine);
-  for (const Suspect& each : selected_)
-    if (each.group != number && each.group != kLine &&
-        std::find(groups.begin(), groups.end(), each.group) == groups.end())
-      groups.push_back(each.group);
-  return groups;
-}
+ private:
+  double variance_ = 0.0, of_variance_ = 0.0;
+};
 
-Rest Search::rest_beside(int direction, int number) const {
-  const std::vector<int> beside = this->beside(number);
-  Rest rest;
-  rest.columns.setZero(z_.rows(), static_cast<Eigen::Index>(beside.size()));
-  for (std::size_t k = 0; k < beside.size(); ++k)
-    for (const int i : group(beside[k]).checks)
-      rest.columns(i, static_cast<Eigen::Index>(k)) = weight_(i, direction);
-  rest.left = response(direction, number);
-  if (beside.empty()) return rest;
-  rest.factor = statistics::ScaledFactor(rest.columns.transpose() * rest.columns, 1e-10);
-  rest.left -= rest.columns * rest.factor.solve(rest.columns.transpose() * rest.left);
-  return rest;
-}
-
-Trial Search::trial(int direction, int number, const Rest& rest) const {
-  Trial trial{{direction, number}};
-  double squares = 0.0, product = 0.0;
-  Eigen::VectorXd across = Eigen::VectorXd::Zero(rest.columns.cols());
-  for (const int i : group(number).checks) {
-    const double weight = weight_(i, direction);
-    squares += weight * weight;
-    product += weight * rest.left[i];
-    across += weight * rest.columns.row(i).transpose();
+/// The line has what its stations have on average. Groups of a kind differ a little in everything: what
+/// differs between them is no matter of the line.
+Trial Search::of_line(const ScoreModel::Fit& fit, std::span<const Estimate> stations,
+                      std::span<const std::vector<Estimate>> within) const {
+  Trial trial{{fit.direction, kLine}};
+  const Mean plain = mean_of(stations, 0.0);
+  if (!std::isfinite(plain.variance)) return trial;
+  Variance variance(plain.variance, fit.degrees);
+  const Spread between = spread_between(heterogeneity_of(stations));
+  trial.size = mean_of(stations, between.variance).size;
+  trial.largest_beside = largest_beside(stations);
+  variance.add(between.variance / std::max(1, between.groups), between.groups - 1);
+  Eigen::VectorXd weights = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(model_.stations()));
+  add_weights_of_mean(stations, between.variance, kNoGroup, 1.0, weights);
+  variance.add(model_.common_variance(fit, weights), fit.degrees);
+  for (const std::vector<Estimate>& kind : within) {
+    const Spread spread = spread_between(heterogeneity_of(kind));
+    variance.add(spread.variance / std::max(1, spread.groups), spread.groups - 1);
   }
-  const double information = across.size() > 0 ? squares - across.dot(rest.factor.solve(across)) : squares;
-  // Where the groups beside it are the same checks, nothing is its own.
-  if (!(information > kLeastOwn * squares)) return trial;
-  trial.size = product / information;
-  trial.degrees = static_cast<double>(z_.rows() - rest.columns.cols() - 1);
-  const double variance = (rest.left.squaredNorm() - trial.size * product) / trial.degrees;
-  if (!(variance > 0.0) || trial.degrees < 1.0) return trial;
-  trial.sd = std::sqrt(variance / information);
-  trial.t = trial.size / trial.sd;
+  variance.put_into(trial);
   return trial;
 }
 
-/// Variance of a strength between the groups of a kind beyond what their checks explain (DerSimonian, Laird
-/// 1986), and from how many.
-Spread Search::spread_between(CheckGroup::Kind kind, int without, std::span<const Trial> trials) const {
-  double weights = 0.0, squares = 0.0, sum = 0.0, sum_of_squares = 0.0;
-  int count = 0;
-  for (const Trial& other : trials) {
-    const int number = other.suspect.group;
-    if (number == without || has(number) || group(number).kind != kind || !std::isfinite(other.sd)) continue;
-    const double weight = 1.0 / (other.sd * other.sd);
-    weights += weight;
-    squares += weight * weight;
-    sum += weight * other.size;
-    sum_of_squares += weight * other.size * other.size;
-    ++count;
-  }
-  if (count < 2) return {};
-  // Cochran's Q. What chance alone explains would cost a few groups most of what they can tell.
-  const double heterogeneity = sum_of_squares - sum * sum / weights;
-  if (statistics::chi_squared_p_value(heterogeneity, count - 1) > kChanceOfSpread) return {0.0, count};
-  return {std::max(0.0, (heterogeneity - (count - 1)) / (weights - squares / weights)), count};
+/// A station stands out if it differs from the mean of the others by more than they do.
+Trial Search::of_station(const ScoreModel::Fit& fit, std::span<const Estimate> stations,
+                         const Estimate& own) const {
+  Trial trial{{fit.direction, own.group}};
+  const Mean plain = mean_of(stations, 0.0, own.group);
+  const Spread between =
+      spread_beside(own.size - plain.size, heterogeneity_of(stations, own.group), least_surprise_);
+  const Mean others = mean_of(stations, between.variance, own.group);
+  trial.size = own.size - others.size;
+  trial.largest_beside = own.largest_beside;
+  Variance variance(own.variance + plain.variance, fit.degrees);
+  variance.add(between.variance + (others.variance - plain.variance), between.groups - 1);
+  Eigen::VectorXd weights = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(model_.stations()));
+  weights[own.station] = 1.0;
+  add_weights_of_mean(stations, between.variance, own.group, -1.0, weights);
+  variance.add(model_.common_variance(fit, weights), fit.degrees);
+  variance.put_into(trial);
+  return trial;
 }
 
-/// Groups of a kind differ a little in everything: a group stands out only if it differs by more than the
-/// others do, and the line has only what its groups have on average. The deviation is known by as many
-/// degrees of freedom as its parts are (Satterthwaite 1946).
-void Search::allow_for_spread(Trial& trial, std::span<const Trial> trials) const {
-  if (!std::isfinite(trial.sd)) return;
-  const int number = trial.suspect.group;
-  std::vector<Spread> spreads;
-  if (number == kLine) {
-    for (const CheckGroup::Kind kind : kKindsBesideTheLine) {
-      spreads.push_back(spread_between(kind, kNoGroup, trials));
-      spreads.back().variance /= std::max(1, spreads.back().groups);
-    }
-  } else {
-    spreads.push_back(spread_between(group(number).kind, number, trials));
-  }
-  double variance = trial.sd * trial.sd;
-  double of_variance = variance * variance / trial.degrees;  // half of the estimated variance's own variance
-  for (const Spread& spread : spreads) {
-    variance += spread.variance;
-    of_variance += spread.variance * spread.variance / std::max(1, spread.groups - 1);
-  }
-  trial.sd = std::sqrt(variance);
-  trial.t = trial.size / trial.sd;
-  trial.degrees = variance * variance / of_variance;
+Trial Search::of_difference(const ScoreModel::Fit& fit, std::span<const Estimate> stations) const {
+  Trial trial{{fit.direction, kStations}};
+  std::vector<Estimate> large;
+  for (const Estimate& each : stations)
+    if (is_looked_at(each.group)) large.push_back(each);
+  if (large.size() < kFewestToDiffer) return trial;
+  const Heterogeneity found = heterogeneity_of(large);
+  trial.size = std::sqrt(found.spread.variance);
+  trial.largest_beside = largest_beside(large);
+  trial.sd = 1.0;  // none is needed
+  trial.square = found.q;
+  trial.directions = found.spread.groups - 1;
+  trial.degrees = fit.degrees;
+  return trial;
 }
 
-double Search::of_one_check(const Trial& trial) const {
-  std::vector<double> weights;
-  for (const int i : group(trial.suspect.group).checks)
-    weights.push_back(weight_(i, trial.suspect.direction));
-  return std::abs(trial.size) * statistics::median(weights);
-}
-
-std::vector<Trial> Search::trials() const {
-  std::vector<Trial> list;
-  for (int j = 0; j < static_cast<int>(table_.directions.size()); ++j) {
-    std::vector<Trial> of_direction;
-    const Rest of_station = rest_beside(j, kNoGroup);
-    std::optional<Rest> of_batch;
+std::vector<Trial> Search::trials_of(int direction) const {
+  const ScoreModel::Fit fit = model_.fit(direction);
+  const std::vector<Estimate> stations = stations_of(fit);
+  std::vector<Trial> trials;
+  std::vector<std::vector<Estimate>> within;
+  for (const CheckGroup::Kind kind : kKindsWithinStations) {
+    std::vector<Estimate>& estimates = within.emplace_back();
     for (const int g : looked_at_) {
-      if (is_selected({j, g}) || std::find(closed_.begin(), closed_.end(), g) != closed_.end()) continue;
-      const bool is_batch = group(g).kind == CheckGroup::Kind::Batch;
-      if (g == kLine || has(g)) {
-        of_direction.push_back(trial(j, g, rest_beside(j, g)));
-      } else {
-        if (is_batch && !of_batch) of_batch = rest_beside(j, g);
-        of_direction.push_back(trial(j, g, is_batch ? *of_batch : of_station));
-      }
+      if (group(g).kind != kind || is_selected({direction, g})) continue;
+      const Strength strength = model_.of_group(fit, g);
+      if (strength.is_known()) estimates.push_back(estimate_of(fit, strength, g));
     }
-    const std::vector<Trial> alone = of_direction;
-    for (Trial& each : of_direction) {
-      allow_for_spread(each, alone);
-      const bool is_possible =
-          each.size > 0.0 || !table_.directions[static_cast<std::size_t>(j)].is_one_sided;
-      const double least = each.suspect.group == kLine ? kLeastOfLine : kLeastOfGroup;
-      if (is_possible && std::isfinite(each.sd) && of_one_check(each) > least)
-        each.surprise = surprise_of(each);
+    for (const Estimate& own : estimates) {
+      Trial& trial = trials.emplace_back(Trial{{direction, own.group}});
+      trial.size = own.size;
+      trial.largest_beside = own.largest_beside;
+      Variance variance(own.variance, fit.degrees);
+      const Spread between = spread_beside(own.size, heterogeneity_of(estimates, own.group), least_surprise_);
+      variance.add(between.variance, between.groups - 1);
+      variance.put_into(trial);
     }
-    list.insert(list.end(), of_direction.begin(), of_direction.end());
   }
-  return list;
+  if (!is_selected({direction, kLine})) trials.push_back(of_line(fit, stations, within));
+  for (const Estimate& own : stations)
+    if (is_looked_at(own.group) && stations.size() > 1) trials.push_back(of_station(fit, stations, own));
+  if (!is_selected({direction, kStations})) trials.push_back(of_difference(fit, stations));
+  for (Trial& trial : trials) judge(trial);
+  return trials;
+}
+
+/// Everything that is not selected, with these selected.
+std::vector<Trial> Search::trials_beside(const std::vector<Suspect>& selected) {
+  selected_ = selected;
+  model_.clear();
+  for (const Suspect& each : selected)
+    each.group == kStations ? model_.let_stations_differ(each.direction) : model_.add(each);
+  std::vector<Trial> all;
+  for (int j = 0; j < static_cast<int>(table_.directions.size()); ++j) {
+    const std::vector<Trial> of_direction = trials_of(j);
+    all.insert(all.end(), of_direction.begin(), of_direction.end());
+  }
+  return all;
+}
+
+const Trial* most_surprising(std::span<const Trial> trials,
+                             const std::function<bool(const Suspect&)>& counts) {
+  const Trial* best = nullptr;
+  for (const Trial& trial : trials)
+    if (counts(trial.suspect) && (best == nullptr || trial.surprise > best->surprise)) best = &trial;
+  return best;
+}
+
+const Trial& trial_of(std::span<const Trial> trials, const Suspect& suspect) {
+  static const Trial none;
+  const auto found =
+      std::find_if(trials.begin(), trials.end(), [&](const Trial& each) { return each.suspect == suspect; });
+  return found == trials.end() ? none : *found;
+}
+
+/// What was named first was named beside less. The first of the selected that is not surprising any more is
+/// left out, the first that another direction of the same group explains better gives way to it.
+bool Search::exchange_one(std::vector<Suspect>& selected) {
+  for (std::size_t k = 0; k < selected.size(); ++k) {
+    std::vector<Suspect> others = selected;
+    others.erase(others.begin() + static_cast<std::ptrdiff_t>(k));
+    const std::vector<Trial> all = trials_beside(others);
+    const double own = trial_of(all, selected[k]).surprise;
+    const Trial* best =
+        most_surprising(all, [&](const Suspect& each) { return each.group == selected[k].group; });
+    if (best != nullptr && best->surprise > std::max(own + kExchangeNats, least_surprise_)) {
+      selected[k] = best->suspect;
+      return true;
+    }
+    if (own <= least_surprise_) {
+      selected = others;
+      return true;
+    }
+  }
+  return false;
+}
+
+std::vector<Suspect> Search::select() {
+  std::vector<Suspect> selected;
+  while (static_cast<int>(selected.size()) < options_.most_findings) {
+    const std::vector<Trial> all = trials_beside(selected);
+    const Trial* best = most_surprising(all, [](const Suspect&) { return true; });
+    if (best == nullptr || best->surprise <= least_surprise_) break;
+    selected.push_back(best->suspect);
+    const std::vector<Suspect> before = selected;
+    for (int round = 0; round < kMostExchanges; ++round)
+      if (!exchange_one(selected)) break;
+    if (selected.size() < before.size()) break;  // what was added made something else needless: enough
+  }
+  return selected;
 }
 
 /// Those that were as likely as the chosen one, and of which nothing is left once it is there.
 std::vector<Suspect> Search::rivals(std::span<const Trial> before, std::span<const Trial> after,
-                                    const Trial& chosen, double level) const {
+                                    const Trial& chosen) const {
+  // Of an effect that a check shows by itself, the linear scores tell rivals apart no better than so.
+  const double nats =
+      kRivalNats + (of_one_check(chosen) > kLinear ? 2.0 * kNonlinear * chosen.surprise : 0.0);
   std::vector<const Trial*> likely;
   for (const Trial& each : before) {
-    if (each.suspect == chosen.suspect || each.surprise < chosen.surprise - kRivalNats ||
-        each.surprise <= 0.0)
+    if (each.suspect == chosen.suspect || each.surprise < chosen.surprise - nats || each.surprise <= 0.0 ||
+        (each.suspect.group == kStations) != (chosen.suspect.group == kStations))
       continue;
     const bool is_left = std::any_of(after.begin(), after.end(), [&](const Trial& later) {
-      return later.suspect == each.suspect && later.surprise > -std::log(level);
+      return later.suspect == each.suspect && later.surprise > least_surprise_;
     });
     if (!is_left) likely.push_back(&each);
   }
@@ -330,6 +422,7 @@ std::vector<Suspect> Search::rivals(std::span<const Trial> before, std::span<con
             [](const Trial* a, const Trial* b) { return a->surprise > b->surprise; });
   std::vector<Suspect> rivals;
   for (const Trial* each : likely) rivals.push_back(each->suspect);
+  if (chosen.suspect.group == kStations) return rivals;
   for (const int g : looked_at_) {
     const Suspect same{chosen.suspect.direction, g};
     if (g != chosen.suspect.group && are_nearly_same(group(g), group(chosen.suspect.group)) &&
@@ -340,41 +433,74 @@ std::vector<Suspect> Search::rivals(std::span<const Trial> before, std::span<con
 }
 
 /// As many independent directions are worth as much: by the eigenvalues of their correlation (Galwey 2009).
-double independent_directions(const Eigen::MatrixXd& within) {
+double independent_directions(const Eigen::MatrixXd& standardised) {
   const statistics::Spectrum spectrum = statistics::spectrum_of(statistics::scaled_by(
-      within.transpose() * within, within.colwise().norm().transpose().cwiseMax(1e-150)));
+      standardised.transpose() * standardised, standardised.colwise().norm().transpose().cwiseMax(1e-150)));
   const Eigen::ArrayXd values = spectrum.values.array().max(0.0);
   return values.sum() > 0.0 ? std::pow(values.sqrt().sum(), 2) / values.sum() : 0.0;
+}
+
+/// Of each difference, what the stations have of it beside all that was found.
+void Search::add_levels(PopulationResult& result) const {
+  for (StationDifference& difference : result.differences) {
+    const ScoreModel::Fit fit = model_.fit(difference.direction);
+    const std::vector<Estimate> stations = stations_of(fit);
+    const double mean = mean_of(stations, heterogeneity_of(stations).spread.variance).size;
+    for (const Estimate& each : stations)
+      if (is_looked_at(each.group))
+        difference.levels.push_back({each.group, each.size - mean, std::sqrt(each.variance)});
+  }
+}
+
+/// Each of the selected as it stands beside the others.
+void Search::conclude(const std::vector<Suspect>& selected, PopulationResult& result) {
+  const std::vector<Trial> after = trials_beside(selected);
+  std::vector<std::pair<Trial, std::vector<Suspect>>> found;
+  for (std::size_t k = 0; k < selected.size(); ++k) {
+    std::vector<Suspect> others = selected;
+    others.erase(others.begin() + static_cast<std::ptrdiff_t>(k));
+    const std::vector<Trial> before = trials_beside(others);
+    const Trial& trial = trial_of(before, selected[k]);
+    found.emplace_back(trial, rivals(before, after, trial));
+  }
+  std::stable_sort(found.begin(), found.end(),
+                   [](const auto& a, const auto& b) { return a.first.surprise > b.first.surprise; });
+  for (auto& [trial, rivals] : found) {
+    const double p = std::exp(-trial.surprise), of_one_check = this->of_one_check(trial);
+    if (trial.suspect.group == kStations) {
+      StationDifference& difference = result.differences.emplace_back();
+      difference.direction = trial.suspect.direction;
+      difference.sd = trial.size;
+      difference.p = p;
+      difference.of_one_check = of_one_check;
+      for (const Suspect& rival : rivals) difference.rivals.push_back(rival.direction);
+    } else {
+      result.findings.push_back({.suspect = trial.suspect,
+                                 .size = trial.size,
+                                 .sd = trial.sd,
+                                 .t = trial.size / trial.sd,
+                                 .p = p,
+                                 .of_one_check = of_one_check,
+                                 .rivals = std::move(rivals)});
+    }
+  }
+  trials_beside(selected);
+  add_levels(result);
 }
 
 PopulationResult Search::run() {
   PopulationResult result;
   result.groups_too_small = static_cast<int>(table_.groups.size() - looked_at_.size());
-  result.overdispersion = (within_.colwise().squaredNorm().transpose() /
-                           std::max<double>(1.0, static_cast<double>(z_.rows()) - 1.0))
+  result.overdispersion = (model_.standardised().colwise().squaredNorm().transpose() /
+                           std::max<double>(1.0, static_cast<double>(model_.checks()) - 1.0))
                               .cwiseSqrt();
-  result.tests = static_cast<double>(looked_at_.size()) * independent_directions(within_);
+  const auto stations = std::count_if(looked_at_.begin(), looked_at_.end(),
+                                      [&](int g) { return group(g).kind == CheckGroup::Kind::Station; });
+  const auto questions = looked_at_.size() + (static_cast<std::size_t>(stations) >= kFewestToDiffer ? 1 : 0);
+  result.tests = static_cast<double>(questions) * independent_directions(model_.standardised());
   if (!(result.tests > 0.0)) return result;
-  const double level = options_.false_alarms / result.tests;
-  std::vector<Trial> all = trials();
-  while (static_cast<int>(selected_.size()) < options_.most_findings) {
-    const auto best = std::max_element(
-        all.begin(), all.end(), [](const Trial& a, const Trial& b) { return a.surprise < b.surprise; });
-    if (best == all.end() || !(best->surprise > -std::log(level))) break;
-    PopulationFinding finding;
-    finding.suspect = best->suspect;
-    finding.size = best->size;
-    finding.sd = best->sd;
-    finding.t = best->t;
-    finding.p = std::exp(-best->surprise);
-    finding.of_one_check = of_one_check(*best);
-    selected_.push_back(best->suspect);
-    if (finding.of_one_check > kShownByOneCheck) closed_.push_back(best->suspect.group);
-    std::vector<Trial> after = trials();
-    finding.rivals = rivals(all, after, *best, level);
-    result.findings.push_back(std::move(finding));
-    all = std::move(after);
-  }
+  least_surprise_ = -std::log(options_.false_alarms / result.tests);
+  conclude(select(), result);
   return result;
 }
 

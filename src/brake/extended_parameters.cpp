@@ -69,16 +69,12 @@ Result<ExtendedParameters> parse_extended_parameters(std::string_view text, cons
   const toml::array* tables = node->as_array();
   if (tables == nullptr)
     return failure(fmt::format("{}: write each effect as a table [[effect]]", location_of(path, *node)));
-  int states = 2;
-  int count = static_cast<int>(kParameterCount);
   for (const toml::node& entry : *tables) {
     if (!entry.is_table())
       return failure(fmt::format("{}: write each effect as a table [[effect]]", location_of(path, entry)));
     const auto effect = read_effect(path, *entry.as_table());
     if (!effect) return tl::unexpected(effect.error());
-    states += info_of(*effect->effect).states;
-    count += static_cast<int>(effect->values.size());
-    if (states > ExtendedBrake::kMaxStates || count > ExtendedBrake::kMaxParameters)
+    if (!room_for(parameters, {&*effect, 1}))
       return failure(fmt::format("{}: too many effects in one model", location_of(path, entry)));
     parameters.effects.push_back(*effect);
   }
@@ -117,6 +113,19 @@ double value_at(const ExtendedParameters& model, const ExtendedBrake::Place& pla
   return place.effect < 0 ? model.base.theta[place.parameter]
                           : model.effects[static_cast<std::size_t>(place.effect)]
                                 .values[static_cast<std::size_t>(place.parameter)];
+}
+
+bool room_for(const ExtendedParameters& model, std::span<const EffectValues> further) {
+  int states = 2;
+  std::size_t parameters = kParameterCount;
+  const auto add = [&](const EffectValues& values) {
+    states += info_of(*values.effect).states;
+    parameters += values.values.size();
+  };
+  std::for_each(model.effects.begin(), model.effects.end(), add);
+  std::for_each(further.begin(), further.end(), add);
+  return states <= ExtendedBrake::kMaxStates &&
+         parameters <= static_cast<std::size_t>(ExtendedBrake::kMaxParameters);
 }
 
 double& value_at(ExtendedParameters& model, const ExtendedBrake::Place& place) {

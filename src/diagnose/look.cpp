@@ -281,19 +281,6 @@ void add_peaks(const Hypothesis& hypothesis, std::span<const FilteredRun> filter
   candidate.alternatives = 0.5 * static_cast<double>(all.count);
 }
 
-bool room_for(const ExtendedParameters& model, std::span<const EffectValues> further) {
-  int states = 2;
-  std::size_t parameters = kParameterCount;
-  const auto add = [&](const EffectValues& values) {
-    states += info_of(*values.effect).states;
-    parameters += values.values.size();
-  };
-  std::for_each(model.effects.begin(), model.effects.end(), add);
-  std::for_each(further.begin(), further.end(), add);
-  return states <= ExtendedBrake::kMaxStates &&
-         parameters <= static_cast<std::size_t>(ExtendedBrake::kMaxParameters);
-}
-
 std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypothesis& hypothesis,
                                std::span<const Run> recorded) {
   std::vector<Candidate> candidates(tried.size());

@@ -15,9 +15,6 @@ std::vector<Candidate> look_at(std::span<const Effect* const> tried, const Hypot
 /// What a candidate promises, by the best of its starts.
 void predict(Candidate& candidate);
 
-/// Whether a model has states and parameters left for these effects beside its own.
-bool room_for(const ExtendedParameters& model, std::span<const EffectValues> further);
-
 /// Parameters that an effect adds to a model of so many runs, those of each run among them.
 double degrees_of(const Effect& effect, std::size_t runs);
 

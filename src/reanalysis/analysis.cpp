@@ -12,6 +12,7 @@
 #include "clampd/diagnose/diagnosis.hpp"
 #include "clampd/diagnose/effect_scores.hpp"
 #include "clampd/identify/method.hpp"
+#include "clampd/reanalysis/population.hpp"
 #include "clampd/record/checksum.hpp"
 #include "clampd/station/evidence.hpp"
 #include "clampd/station/verdict.hpp"
@@ -171,18 +172,7 @@ Result<ordered_json> diagnosis_of(const ArchivedCheck& check, const std::vector<
 }
 
 Result<ordered_json> scores_of(const std::vector<Run>& runs, const Task& task) {
-  const Result<std::vector<EffectScore>> scores = score_effects(runs, task.nominal);
-  if (!scores) return tl::unexpected(scores.error());
-  ordered_json list = ordered_json::array();
-  for (const EffectScore& score : *scores) {
-    const EffectInfo& info = info_of(*score.effect.effect);
-    list.push_back({{"effect", info.name},
-                    {"parameter", info.parameters[score.parameter].name},
-                    {"at", score.effect.values},
-                    {"score", number_or_null(score.score)},
-                    {"information", number_or_null(score.information)}});
-  }
-  return list;
+  return score_effects(runs, task.nominal).map(scores_json);
 }
 
 std::optional<std::string> identify_check(const ArchivedCheck& check, std::vector<CollectedRun> runs,
@@ -262,7 +252,7 @@ Result<std::optional<std::string>> analyse(const ArchivedCheck& check, std::vect
       scores ? scores_of(recorded, task) : diagnosis_of(check, recorded, task, given_up);
   if (!found) return tl::unexpected(found.error());
   if (given_up() || found->is_null()) return std::nullopt;
-  return text_of({{"schema", scores ? "clampd.effect_scores/1" : "clampd.archived_diagnosis/1"},
+  return text_of({{"schema", scores ? "clampd.effect_scores/2" : "clampd.archived_diagnosis/1"},
                   {"record", check.id},
                   {"serial", check.serial},
                   {scores ? "scores" : "diagnosis", *found},

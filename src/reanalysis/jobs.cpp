@@ -263,7 +263,7 @@ Result<std::vector<ScoredCheck>> Jobs::scored(std::int64_t job) {
   return connection_
       ->transact([&](pqxx::work& transaction) {
         for (const pqxx::row& row : transaction.exec_params(kScored, job)) {
-          Result<std::vector<EffectScore>> scores = parse_scores(row[5].c_str());
+          Result<EffectScores> scores = parse_scores(row[5].c_str());
           if (!scores) {
             wrong = fmt::format("check {}: {}", row[0].c_str(), scores.error().message);
             return;

@@ -63,6 +63,12 @@ Eigen::VectorXd ScaledFactor::solve(const ConstVector& right) const {
   return solution;
 }
 
+Eigen::MatrixXd ScaledFactor::solve_columns(const ConstMatrix& right) const {
+  Eigen::MatrixXd columns(right.rows(), right.cols());
+  for (Eigen::Index j = 0; j < right.cols(); ++j) columns.col(j) = solve(right.col(j));
+  return columns;
+}
+
 Eigen::MatrixXd ScaledFactor::inverse() const {
   return scaled_by(factor_.inverse(), scale_);
 }

@@ -39,7 +39,7 @@ const std::vector<std::pair<std::string, std::string>> kHidden{
     {"backlash", "play"},           {"stiffness-hysteresis", "share"}, {"pad-damping", "damping"},
     {"pad-relaxation", "share"},    {"torque-offset", "offset"}};
 
-using Scores = std::vector<EffectScore>;
+using Scores = EffectScores;
 
 class Line {
  public:
@@ -85,7 +85,8 @@ class Line {
         own[i] = check(base + i, i, {hidden});
     });
     std::vector<const Scores*> checks;
-    for (std::size_t i = 0; i < own.size(); ++i) checks.push_back(own[i].empty() ? &clean_[i] : &own[i]);
+    for (std::size_t i = 0; i < own.size(); ++i)
+      checks.push_back(own[i].directions.empty() ? &clean_[i] : &own[i]);
     return population(checks, batches);
   }
   std::mt19937_64& random() { return random_; }
@@ -123,25 +124,31 @@ reanalysis::Population Line::population(const std::vector<const Scores*>& checks
 /// all is right.
 void Line::show_scores() const {
   fmt::print("{:<55} {:>8} {:>8} {:>12}\n", "direction", "mean", "sd", "sd of one");
-  for (std::size_t j = 0; j < clean_.front().size(); ++j) {
+  const std::vector<EffectDirection>& directions = clean_.front().directions;
+  for (std::size_t direction = 0; direction < directions.size(); ++direction) {
+    const auto j = static_cast<Eigen::Index>(direction);
     double sum = 0.0, squares = 0.0, information = 0.0;
     const double n = static_cast<double>(clean_.size());
     for (const Scores& scores : clean_) {
-      const double z = scores[j].information > 0.0 ? scores[j].score / std::sqrt(scores[j].information) : 0.0;
-      sum += z, squares += z * z, information += scores[j].information / n;
+      const double own = scores.information(j, j);
+      const double z = own > 0.0 ? scores.score[j] / std::sqrt(own) : 0.0;
+      sum += z, squares += z * z, information += own / n;
     }
-    fmt::print("{:<55} {:>8.3f} {:>8.3f} {:>12.3g}\n", reanalysis::direction_in_words(clean_.front()[j]).name,
-               sum / n, std::sqrt(squares / n - sum * sum / n / n), 1.0 / std::sqrt(information));
+    fmt::print("{:<55} {:>8.3f} {:>8.3f} {:>12.3g}\n",
+               reanalysis::direction_in_words(directions[direction]).name, sum / n,
+               std::sqrt(squares / n - sum * sum / n / n), 1.0 / std::sqrt(information));
   }
 }
 
 double Line::of_one_check(const std::string& effect, const std::string& parameter) const {
-  for (std::size_t j = 0; j < clean_.front().size(); ++j) {
-    const EffectInfo& info = info_of(*clean_.front()[j].effect.effect);
-    if (info.name != effect || info.parameters[clean_.front()[j].parameter].name != parameter) continue;
+  const std::vector<EffectDirection>& directions = clean_.front().directions;
+  for (std::size_t j = 0; j < directions.size(); ++j) {
+    const EffectInfo& info = info_of(*directions[j].effect.effect);
+    if (info.name != effect || info.parameters[directions[j].parameter].name != parameter) continue;
     double information = 0.0;
     for (const Scores& scores : clean_)
-      information += scores[j].information / static_cast<double>(clean_.size());
+      information += scores.information(static_cast<Eigen::Index>(j), static_cast<Eigen::Index>(j)) /
+                     static_cast<double>(clean_.size());
     return 1.0 / std::sqrt(information);
   }
   return 0.0;
@@ -164,15 +171,32 @@ std::string in_words(const reanalysis::Population& population, const PopulationF
   return text;
 }
 
+std::string in_words(const reanalysis::Population& population,
+                     const attribution::StationDifference& difference) {
+  const auto name = [&](int direction) {
+    return population.table.directions[static_cast<std::size_t>(direction)].name;
+  };
+  std::string text = fmt::format("stations differ in {}, {:.3g}, {:.1f} deviations of one check",
+                                 name(difference.direction), difference.sd, difference.of_one_check);
+  for (const int rival : difference.rivals) text += " | " + name(rival);
+  return text;
+}
+
+/// With a spread the whole line's load cells lag.
+bool may_be_false(const PopulationFinding& finding, double spread) {
+  return spread == 0.0 || finding.suspect.group != 0;
+}
+
 struct Count {
   int lines = 0, named = 0, group = 0, wrong_group = 0, wrong_effect = 0;
 };
 
 /// Named: the effect is the one found or a rival of it, and so is its group.
 void count(const reanalysis::Population& population, const attribution::PopulationResult& result,
-           const std::string& effect, CheckGroup::Kind kind, int guilty, Count& count) {
+           const std::string& effect, CheckGroup::Kind kind, int guilty, double spread, Count& count) {
   bool named = false, right_group = false, wrong_group = false, wrong_effect = false;
   for (const PopulationFinding& finding : result.findings) {
+    if (!may_be_false(finding, spread)) continue;
     std::vector<PopulationFinding::Suspect> suspects{finding.suspect};
     suspects.insert(suspects.end(), finding.rivals.begin(), finding.rivals.end());
     bool group_here = false, effect_here = false;
@@ -205,7 +229,12 @@ void run(const Plan& plan) {
   for (int i = 0; i < plan.clean; ++i) {
     const reanalysis::Population population = line.clean(line.batches());
     const auto result = attribution::attribute_effects(population.table);
-    found += !result.findings.empty();
+    found += std::any_of(result.findings.begin(), result.findings.end(),
+                         [&](const auto& finding) { return may_be_false(finding, plan.spread); }) ||
+             (plan.spread == 0.0 && !result.differences.empty());
+    if (i == 0)
+      for (const auto& difference : result.differences)
+        fmt::print("  clean line: {}\n", in_words(population, difference));
     if (found < 10)
       for (const auto& finding : result.findings)
         fmt::print("  clean line: {}\n", in_words(population, finding));
@@ -222,9 +251,10 @@ void run(const Plan& plan) {
       const auto result = attribution::attribute_effects(population.table);
       fmt::print("{} {:.3g}, {} {}:", effect, size, word(kind), guilty);
       for (const auto& finding : result.findings) fmt::print(" {};", in_words(population, finding));
-      fmt::print("{}\n", result.findings.empty() ? " nothing" : "");
+      for (const auto& difference : result.differences) fmt::print(" {};", in_words(population, difference));
+      fmt::print("{}\n", result.findings.empty() ? " no group" : "");
       std::fflush(stdout);
-      count(population, result, effect, kind, guilty, counts[word(kind)]);
+      count(population, result, effect, kind, guilty, plan.spread, counts[word(kind)]);
     }
   for (const auto& [kind, count] : counts)
     fmt::print("{}: {} lines, named {}, the group {}, another group {}, another effect {}\n", kind,

@@ -22,7 +22,7 @@ struct HiddenInBrake {
 };
 
 /// What one simulated check of a brake from the population says about each effect.
-inline std::vector<EffectScore> scored_check(std::uint64_t seed, std::uint32_t repeats,
+inline EffectScores scored_check(std::uint64_t seed, std::uint32_t repeats,
                                              const std::vector<HiddenInBrake>& hidden) {
   sim::PlantConfiguration brake = bench::plant(seed);
   Draws draws(seed);
@@ -34,7 +34,7 @@ inline std::vector<EffectScore> scored_check(std::uint64_t seed, std::uint32_t r
   prepared.configuration.check.diagnose = false;
   bench::EmbeddedStation station(std::move(prepared), brake);
   const CheckRecord check = station.run_check(bench::request(repeats), nullptr, nullptr).value();
-  Result<std::vector<EffectScore>> scores = score_effects(runs_of(check), BrakeParameters{});
+  Result<EffectScores> scores = score_effects(runs_of(check), BrakeParameters{});
   if (!scores) throw std::runtime_error(fmt::format("seed {}: {}", seed, scores.error().message));
   return std::move(*scores);
 }

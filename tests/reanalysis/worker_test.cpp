@@ -1,6 +1,7 @@
 #include "clampd/reanalysis/worker.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <mutex>
 #include <thread>
 
@@ -10,6 +11,8 @@
 #include "clampd/reanalysis/population.hpp"
 #include "reanalysis/archive_fixture.hpp"
 #include "support/eventually.hpp"
+#include "support/socket_relay.hpp"
+#include "support/temporary_directory.hpp"
 
 namespace clampd::reanalysis {
 namespace {
@@ -88,8 +91,12 @@ TEST_F(ArchiveWorkers, AskEachCheckAboutEveryEffect) {
   EXPECT_EQ(population->repeated, 1) << "a brake counts once at each station";
   EXPECT_EQ(population->directions.size(), effects_with_strengths().size());
   EXPECT_EQ(population->table.score.rows(), 4);
-  EXPECT_EQ(population->table.information.cols(), static_cast<Eigen::Index>(population->table.directions.size()));
-  EXPECT_GT(population->table.information.col(0).minCoeff(), 0.0);
+  ASSERT_EQ(population->table.information.size(), 4U);
+  for (const Eigen::MatrixXf& information : population->table.information) {
+    EXPECT_EQ(information.cols(), static_cast<Eigen::Index>(population->table.directions.size()));
+    EXPECT_GT(information(0, 0), 0.0F);
+    EXPECT_EQ(information, information.transpose());
+  }
   ASSERT_EQ(population->table.groups.size(), 3U);
   EXPECT_EQ(population->table.groups[2].name, "south");
   EXPECT_EQ(population->table.groups[2].checks, (std::vector<int>{2, 3}));
@@ -112,7 +119,7 @@ TEST(ArchivedPopulation, IsOfOneVersionAndOfScoresOnly) {
     return population ? std::string("none") : population.error().message;
   };
   const auto of = [](const char* effect, const char* parameter) {
-    return fmt::format(R"({{"schema":"clampd.effect_scores/1","scores":[{{"effect":"{}","parameter":"{}","at":[0],"score":1,"information":4}}]}})",
+    return fmt::format(R"({{"schema":"clampd.effect_scores/2","scores":{{"directions":[{{"effect":"{}","parameter":"{}","at":[0]}}],"score":[1],"information":[[4]]}}}})",
                        effect, parameter);
   };
   EXPECT_EQ(error({of("backlash", "play")}), "none");
@@ -120,6 +127,10 @@ TEST(ArchivedPopulation, IsOfOneVersionAndOfScoresOnly) {
   EXPECT_THAT(error({of("levitation", "height")}), HasSubstr("there is no effect levitation"));
   EXPECT_THAT(error({of("backlash", "colour")}), HasSubstr("has no colour"));
   EXPECT_THAT(error({R"({"schema":"clampd.reanalysis/1"})"}), HasSubstr("submit a job with --score-effects"));
+  EXPECT_THAT(error({R"({"schema":"clampd.effect_scores/2","scores":{"score":[]}})"}), HasSubstr("cannot be read"));
+  std::string without_row = of("backlash", "play");
+  without_row.replace(without_row.find("[[4]]"), 5, "[[]]");
+  EXPECT_THAT(error({without_row}), HasSubstr("is no triangle"));
   EXPECT_THAT(error({"{"}), HasSubstr("cannot be read"));
 }
 
@@ -208,6 +219,26 @@ TEST_F(ArchiveWorkers, WaitForAServerThatIsAway) {
   EXPECT_EQ(summary.done, 4);
   EXPECT_THAT(said, HasSubstr("no connection"));
   EXPECT_THAT(said, HasSubstr("connected\n"));
+}
+
+// Between the work and its result: while the lease lasts, the work is not lost.
+TEST_F(ArchiveWorkers, WriteTheirResultOnceAServerThatWentAwayIsBack) {
+  publish(checks_of_a_station());
+  submit(task());
+  const support::TemporaryDirectory network;
+  support::SocketRelay relay(network.path("."), server->host());
+  relay.cut_at("clock_timestamp() FOR UPDATE");
+  WorkerOptions options = worker("patient");
+  options.database.host = network.path(".");
+  std::atomic<int> tries{0};
+  options.say = [&](const std::string& words) {
+    if (relay.is_cut() && words.find("trying again in") != std::string::npos && ++tries == 3) relay.mend();
+  };
+  const WorkerSummary summary = run(options);
+  EXPECT_GE(tries, 3);
+  EXPECT_EQ(summary.done, 4);
+  EXPECT_EQ(summary.lost, 0);
+  EXPECT_EQ(ask("SELECT sum(attempts) FROM clampd.queue"), "4") << "nothing is done twice";
 }
 
 TEST_F(ArchiveWorkers, RefuseAnOlderAndANewerSchema) {

@@ -22,12 +22,13 @@ struct CheckGroup {
   std::vector<int> checks;  ///< numbers of its rows, ascending
 };
 
-/// What the checks of a line say about each direction: rows are checks, columns directions.
+/// What the checks of a line say about the directions. Strengths d of a check grow its log-likelihood by
+/// score . d - 1/2 d . information d.
 struct PopulationTable {
   std::vector<Direction> directions;
-  Eigen::MatrixXd score;           ///< slope of the log-likelihood where the strength is neutral, 1/unit
-  Eigen::MatrixXd information;     ///< of the strength, 1/unit^2; 0: this check does not show it
-  std::vector<CheckGroup> groups;  ///< Line first, with all checks
+  Eigen::MatrixXd score;                     ///< checks x directions, 1/unit
+  std::vector<Eigen::MatrixXf> information;  ///< of each check; a row of zeros: it does not show that one
+  std::vector<CheckGroup> groups;            ///< Line first, with all checks; a check is in one station's
 };
 
 /// A direction that a group of checks has, none of which may show it by itself.
@@ -47,14 +48,30 @@ struct PopulationFinding {
   std::vector<Suspect> rivals;  ///< that these checks do not tell from it, the likeliest first
 };
 
+/// A direction in which stations differ from each other, none of them alone.
+struct StationDifference {
+  int direction = 0;
+  double sd = 0.0;            ///< of the stations' strengths, beyond what their checks leave open
+  double p = 1.0;             ///< probability of as much without a cause, for this one test
+  double of_one_check = 0.0;  ///< what a typical check shows of that deviation
+  struct Level {
+    int group = 0;
+    double size = 0.0;  ///< against the stations' mean
+    double sd = 0.0;
+  };
+  std::vector<Level> levels;  ///< of each station that was looked at, beside everything that was found
+  std::vector<int> rivals;    ///< directions that these checks do not tell from it
+};
+
 struct PopulationOptions {
   double false_alarms = 0.01;  ///< the probability that anything is found where there is nothing
   int most_findings = 20;
 };
 
 struct PopulationResult {
-  std::vector<PopulationFinding> findings;  ///< in the order in which they were found, the strongest first
-  double tests = 0.0;                       ///< independent directions times groups that were large enough
+  std::vector<PopulationFinding> findings;     ///< in the order in which they were found, the strongest first
+  std::vector<StationDifference> differences;  ///< the same
+  double tests = 0.0;                          ///< independent directions times what each was asked about
   int groups_too_small = 0;
   /// Per direction: by how much more the scores differ from check to check than their information says. 1:
   /// not at all.
@@ -63,10 +80,6 @@ struct PopulationResult {
 
 /// Groups with fewer checks, or that leave fewer to compare with, are not looked at.
 inline constexpr int kFewestOfGroup = 5;
-
-/// An effect that a single check shows to so many of its standard deviations is no faint one: beside it, nothing else is looked for in
-/// its group, since scores are linear and their correlations those of small effects.
-inline constexpr double kShownByOneCheck = 2.0;
 
 /// Evidence summed over checks (docs/population.md): forward selection among all directions and groups, by t
 /// statistics whose variance is the one that the scores show from check to check.

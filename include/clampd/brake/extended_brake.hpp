@@ -100,6 +100,9 @@ class ExtendedBrake {
   std::unique_ptr<const Numbers> numbers_;
 };
 
+/// Whether a model has states and parameters left for these effects beside its own.
+bool room_for(const ExtendedParameters& model, std::span<const EffectValues> further);
+
 /// The value in a model that a place means.
 double& value_at(ExtendedParameters& model, const ExtendedBrake::Place& place);
 double value_at(const ExtendedParameters& model, const ExtendedBrake::Place& place);

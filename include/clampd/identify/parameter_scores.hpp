@@ -19,7 +19,11 @@ struct ParameterScores {
   Eigen::MatrixXd information;
 };
 
-/// By the extended Kalman filter of fit_extended(); the noise is the estimate's.
-ParameterScores score_parameters(std::span<const FitRun> runs, const ExtendedEstimate& estimate);
+/// By the extended Kalman filter of fit_extended(); the noise is the estimate's. The parameters of the
+/// effects `beside` the estimate's model come after its own, those of each as ExtendedBrake has them. They may
+/// be more than one model holds, since they change nothing where they stand: their strengths have to be
+/// neutral. Those beside which the filter does not stay bounded are told of as if no reading showed them.
+ParameterScores score_parameters(std::span<const FitRun> runs, const ExtendedEstimate& estimate,
+                                 std::span<const EffectValues> beside = {});
 
 }  // namespace clampd

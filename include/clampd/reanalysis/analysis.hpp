@@ -45,7 +45,7 @@ Result<std::vector<CollectedRun>> unpack_runs(const ArchivedCheck& check);
 
 /// Does with the runs what the task says, on one thread. Identify: as a station does (each run, then all jointly), and judges by the
 /// task's limits (clampd.reanalysis/1). Diagnose: as `clampctl diagnose` (clampd.archived_diagnosis/1). ScoreEffects: score_effects()
-/// (clampd.effect_scores/1). The document (JSON) says nothing of the time it took or was made at, so that equal runs, task and
+/// (clampd.effect_scores/2). The document (JSON) says nothing of the time it took or was made at, so that equal runs, task and
 /// software give equal texts. Nothing if `given_up` said so meanwhile. Errors: runs that cannot be diagnosed or scored.
 Result<std::optional<std::string>> analyse(const ArchivedCheck& check, std::vector<CollectedRun> runs,
                                            const Task& task, const std::string& task_sha256,

@@ -4,6 +4,8 @@
 #include <string>
 #include <vector>
 
+#include <nlohmann/json_fwd.hpp>
+
 #include "clampd/attribution/population.hpp"
 #include "clampd/base/result.hpp"
 #include "clampd/diagnose/effect_scores.hpp"
@@ -17,24 +19,26 @@ struct ScoredCheck {
   std::string station;
   std::string fixture;  ///< empty: none
   std::string batch;    ///< empty: none
-  std::vector<EffectScore> scores;
+  EffectScores scores;
 };
 
 /// The checks of a line with what they say about each effect.
 struct Population {
-  std::vector<EffectScore> directions;  ///< those of the table, with the first check's answers
+  std::vector<EffectDirection> directions;  ///< those of the table
   attribution::PopulationTable table;
   std::int64_t repeated = 0;  ///< checks left out: a brake counts once at each station, by its first check
 };
 
 /// "force-lag.time_constant"; what was chosen for it in brackets.
-attribution::Direction direction_in_words(const EffectScore& score);
+attribution::Direction direction_in_words(const EffectDirection& direction);
 
-/// Scores as a document of clampd.effect_scores/1 has them. Errors: it is none, or of effects that this
-/// version does not know.
-Result<std::vector<EffectScore>> parse_scores(const std::string& document);
+/// The part of a document of clampd.effect_scores/2 that says what the scores are.
+nlohmann::ordered_json scores_json(const EffectScores& scores);
+
+/// Scores as such a document has them. Errors: it is none, or of effects that this version does not know.
+Result<EffectScores> parse_scores(const std::string& document);
 
 /// Puts together what checks, in chronological order, say. Errors: they are of versions whose effects differ.
-Result<Population> population_of(const std::vector<ScoredCheck>& checks);
+Result<Population> population_of(std::vector<ScoredCheck> checks);
 
 }  // namespace clampd::reanalysis

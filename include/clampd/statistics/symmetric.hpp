@@ -45,6 +45,7 @@ class ScaledFactor {
   explicit ScaledFactor(const ConstMatrix& matrix, double ridge = 0.0);
 
   Eigen::VectorXd solve(const ConstVector& right) const;
+  Eigen::MatrixXd solve_columns(const ConstMatrix& right) const;
   Eigen::MatrixXd inverse() const;
   double smallest_pivot() const { return factor_.smallest_pivot(); }  ///< of the scaled matrix
   const Eigen::VectorXd& scale() const { return scale_; }

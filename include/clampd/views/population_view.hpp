@@ -12,12 +12,12 @@ namespace clampd {
 
 /// What was found, in words. `directions`: those of the table.
 std::string format_population(const attribution::PopulationTable& table,
-                              std::span<const EffectScore> directions,
+                              std::span<const EffectDirection> directions,
                               const attribution::PopulationResult& result, double false_alarms);
 
-/// The same as clampd.population/1.
+/// The same as clampd.population/2.
 nlohmann::ordered_json population_json(const attribution::PopulationTable& table,
-                                       std::span<const EffectScore> directions,
+                                       std::span<const EffectDirection> directions,
                                        const attribution::PopulationResult& result, double false_alarms);
 
 }  // namespace clampd
