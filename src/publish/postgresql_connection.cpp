@@ -235,8 +235,9 @@ Result<void> PostgresqlConnection::guarded(const std::function<void(pqxx::connec
     return {};
   } catch (const pqxx::insufficient_privilege& refused) {
     return failure(
-        fmt::format("{}: {}: the user needs CREATE on the database once, and then INSERT and SELECT in "
-                    "schema clampd",
+        fmt::format("{}: {}: the user lacks rights. Who makes the tables first, or of a newer version, needs "
+                    "CREATE on the database; a station from then on USAGE on schema clampd, SELECT on "
+                    "migrations and on checks (id), INSERT on checks, parameters, runs and raw_runs",
                     where(), first_line(refused.what())));
   } catch (const pqxx::broken_connection& broken) {
     return failure(

@@ -169,13 +169,48 @@ TEST_F(Postgresql, StationsShareADatabaseAndLaterOnesNeedFewRights) {
   poor.user = "bench";
   other.start(make_postgresql_channel(poor));
   ASSERT_TRUE(eventually([&] { return !other.status().error.empty(); }));
-  EXPECT_THAT(other.status().error, HasSubstr("INSERT and SELECT in schema clampd"));
+  EXPECT_THAT(other.status().error, HasSubstr("the user lacks rights"));
   server->column("GRANT USAGE ON SCHEMA clampd TO bench");
   server->column("GRANT SELECT, INSERT ON ALL TABLES IN SCHEMA clampd TO bench");
   ASSERT_TRUE(eventually([&] { return other.status().connected; })) << other.status().error;
   ASSERT_TRUE(other.store().save(PublishingStation::check(77)));
   ASSERT_TRUE(eventually([&] { return other.pending() == 0; })) << other.status().error;
   EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks"), "2");
+}
+
+// docs/line.md lists them: each is needed, and nothing else. Sent twice, as after a lost answer.
+TEST_F(Postgresql, AStationNeedsTheseRightsAndNoOthers) {
+  const std::vector<std::string> rights{"USAGE ON SCHEMA clampd",        "SELECT ON clampd.migrations",
+                                        "INSERT ON clampd.checks",       "SELECT (id) ON clampd.checks",
+                                        "INSERT ON clampd.parameters",   "INSERT ON clampd.runs",
+                                        "INSERT ON clampd.raw_runs"};
+  PostgresqlSettings settings = this->settings();
+  settings.raw_runs = true;
+  WakeEvent wake;
+  ASSERT_TRUE(make_postgresql_channel(settings)->connect({}, wake));  // makes the tables
+  server->column("CREATE ROLE bench LOGIN");
+  settings.user = "bench";
+  int number = 0;
+  const auto problem = [&]() -> std::string {
+    const auto channel = make_postgresql_channel(settings);
+    if (const Result<void> connected = channel->connect({}, wake); !connected)
+      return connected.error().message;
+    CheckRecord check = PublishingStation::check(++number);
+    for (int time = 0; time < 2; ++time)
+      if (const Result<void> sent = channel->send({check, number, false}, wake); !sent)
+        return sent.error().message;
+    return "";
+  };
+  for (const std::string& right : rights) server->column("GRANT " + right + " TO bench");
+  EXPECT_EQ(problem(), "");
+  for (const std::string& right : rights) {
+    server->column("REVOKE " + right + " FROM bench");
+    EXPECT_THAT(problem(), HasSubstr("the user lacks rights")) << right;
+    server->column("GRANT " + right + " TO bench");
+  }
+  EXPECT_EQ(problem(), "");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks"), "2");
+  EXPECT_EQ(server->ask("SELECT count(DISTINCT check_id) FROM clampd.runs"), "2");
 }
 
 TEST_F(Postgresql, SaysWhatIsWrong) {
