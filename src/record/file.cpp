@@ -1,14 +1,17 @@
 #include "clampd/record/file.hpp"
 
 #include <fcntl.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <cerrno>
+#include <chrono>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <system_error>
+#include <thread>
 
 #include <fmt/format.h>
 
@@ -136,6 +139,31 @@ Result<void> write_file_atomically(const std::string& path, std::string_view con
   const Descriptor folder(::open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
   if (folder.valid()) ::fsync(folder.get());
   return {};
+}
+
+Result<FileLock> FileLock::take(const std::string& path, std::chrono::milliseconds patience) {
+  constexpr auto kPause = std::chrono::milliseconds(20);
+  // The folder's, since the file may not be there yet, and is another one each time it is written.
+  const std::filesystem::path folder = std::filesystem::path(path).parent_path();
+  const std::string name = folder.empty() ? "." : folder.string();
+  const int descriptor = ::open(name.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (descriptor < 0) return failure(fmt::format("{}: cannot open: {}", name, reason(errno)));
+  FileLock lock(descriptor);
+  const auto end = std::chrono::steady_clock::now() + patience;
+  while (::flock(descriptor, LOCK_EX | LOCK_NB) != 0) {
+    if (errno != EWOULDBLOCK && errno != EINTR)
+      return failure(fmt::format("{}: cannot lock: {}", name, reason(errno)));
+    if (std::chrono::steady_clock::now() >= end)
+      return failure(fmt::format(
+          "{}: another process is changing a file of its folder: try again when it has ended", path));
+    std::this_thread::sleep_for(kPause);
+  }
+  return lock;
+}
+
+void FileLock::Release::operator()(const int* descriptor) const {
+  ::close(*descriptor);
+  delete descriptor;
 }
 
 }  // namespace clampd

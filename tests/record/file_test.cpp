@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <filesystem>
+#include <optional>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -80,6 +81,24 @@ TEST(File, RefusesAHugeFileBeforeReadingIt) {
   const auto huge = read_file(path);
   ASSERT_FALSE(huge);
   EXPECT_THAT(huge.error().message, HasSubstr("256 MiB"));
+}
+
+TEST(File, IsChangedByOneAtATime) {
+  const support::TemporaryDirectory folder;
+  const auto now = std::chrono::milliseconds(0);
+  std::optional<FileLock> first;
+  {
+    Result<FileLock> taken = FileLock::take(folder.path("a"), now);
+    ASSERT_TRUE(taken) << taken.error().message;
+    first.emplace(std::move(*taken));
+  }
+  EXPECT_FALSE(FileLock::take(folder.path("a"), now));
+  EXPECT_FALSE(FileLock::take(folder.path("b"), now)) << "files of one folder take turns";
+  EXPECT_TRUE(FileLock::take(folder.path(""), now).error().message.find("another process") !=
+              std::string::npos);
+  first.reset();
+  EXPECT_TRUE(FileLock::take(folder.path("a"), now));
+  EXPECT_FALSE(FileLock::take(folder.path("none/a"), now));
 }
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include "clampd/record/file.hpp"
 #include "support/command.hpp"
 #include "support/temporary_directory.hpp"
 
@@ -88,6 +89,23 @@ TEST_F(LineMonitorCommand, RefusesWhatItCannotGoOnFromAndLeavesItAlone) {
   folder_.write("empty.csv", "serial,batch,station,started,verdict,k2 [N/rad^2],k2 sd [N/rad^2]\n");
   folder_.write("line.json", state);
   EXPECT_EQ(monitor("empty.csv --state line.json").exit_code, 0) << "a day without checks is no error";
+}
+
+// Of two that count different days at the same time, the later one would write over what the first counted.
+TEST_F(LineMonitorCommand, RunsOnOneStateOneAtATime) {
+  write_checks("checks.csv", 0, 20, 0.0);
+  ASSERT_EQ(monitor("checks.csv --state line.json").exit_code, 0);
+  const std::string state = folder_.read("line.json");
+  {
+    const auto other = FileLock::take(folder_.path("line.json"), std::chrono::milliseconds(0));
+    ASSERT_TRUE(other) << other.error().message;
+    write_checks("more.csv", 20, 25, 0.0);
+    const Outcome refused = monitor("more.csv --state line.json");
+    EXPECT_EQ(refused.exit_code, 2);
+    EXPECT_THAT(refused.output, HasSubstr("another process is changing a file of its folder"));
+  }
+  EXPECT_EQ(folder_.read("line.json"), state);
+  EXPECT_EQ(monitor("more.csv --state line.json").exit_code, 0);
 }
 
 }  // namespace

@@ -1,4 +1,5 @@
 #include <array>
+#include <chrono>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -38,6 +39,8 @@ int line(const LineOptions& options) {
     fmt::print("{}", format_attribution(*table, found, options.attribution.false_alarms));
   return cli::kSuccess;
 }
+
+constexpr auto kPatience = std::chrono::seconds(5);  // for another monitor that has the state
 
 struct MonitorOptions {
   std::vector<std::string> files;
@@ -86,6 +89,12 @@ int monitor_line(const MonitorOptions& options) {
   const std::array<cli::OutputOption, 2> outputs{{{"--state", options.state}, {"--json", options.json}}};
   if (const Result<void> can = cli::check_outputs(outputs, options.files); !can)
     return cli::refuse(can.error());
+  std::optional<FileLock> lock;
+  if (!options.state.empty()) {
+    Result<FileLock> taken = FileLock::take(options.state, kPatience);
+    if (!taken) return cli::refuse(taken.error());
+    lock.emplace(std::move(*taken));
+  }
   Result<attribution::LineMonitor> monitor = load_monitor(options);
   if (!monitor) return cli::refuse(monitor.error());
   if (const Result<void> done = acknowledge_all(*monitor, options); !done) return cli::refuse(done.error());

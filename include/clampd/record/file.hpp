@@ -1,5 +1,7 @@
 #pragma once
 
+#include <chrono>
+#include <memory>
 #include <string>
 #include <string_view>
 
@@ -13,5 +15,20 @@ Result<std::string> read_file(const std::string& path);
 /// Writes to a temporary file beside `path`, syncs and renames it: nothing half-written is ever left at
 /// `path`.
 Result<void> write_file_atomically(const std::string& path, std::string_view content);
+
+/// Of several processes that read a file, change it and write it again, one at a time: until the lock is gone.
+class FileLock {
+ public:
+  /// Waits for a process that has a file of the same folder. Errors: it does not let go for so long, or the
+  /// folder cannot be locked.
+  static Result<FileLock> take(const std::string& path, std::chrono::milliseconds patience);
+
+ private:
+  struct Release {
+    void operator()(const int* descriptor) const;
+  };
+  explicit FileLock(int descriptor) : descriptor_(new int(descriptor)) {}
+  std::unique_ptr<int, Release> descriptor_;
+};
 
 }  // namespace clampd
