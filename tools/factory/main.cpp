@@ -1,3 +1,5 @@
+#include <cstdint>
+#include <limits>
 #include <string>
 
 #include <fmt/format.h>
@@ -76,7 +78,7 @@ int main(int argc, char** argv) {
   app.add_option("--days", settings.days, "that the checks are spread over, from 2026-01-05 on")
       ->check(CLI::Range(1, 3'650))
       ->capture_default_str();
-  CLI::Option* seed = app.add_option("--seed", settings.seed, "decides everything (default: drawn)")->check(CLI::NonNegativeNumber);
+  CLI::Option* seed = app.add_option("--seed", settings.seed, "decides everything (default: drawn)")->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max()));
   app.add_option("--repeats", settings.repeats, "of the trajectory in each check")
       ->check(CLI::Range(1, 200))
       ->capture_default_str();
