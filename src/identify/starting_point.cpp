@@ -40,25 +40,30 @@ double largest(std::span<const double> series) {
   return series.empty() ? 0.0 : *std::max_element(series.begin(), series.end());
 }
 
-/// x >= 0 with F(x) = force on the rising branch; negative if there is none.
-double position_of(const PolynomialStiffness& stiffness, double force_N) {
-  double high = 1.0;
-  while (stiffness.force_N(high) < force_N) {
+/// x >= 0 with F(x) = force on the rising branch, sought from `near`; negative if there is none.
+double position_of(const PolynomialStiffness& stiffness, double force_N, double near) {
+  constexpr double kFarthest_rad = 500.0, kClose = 1e-12;
+  double low = 0.0, high = std::numeric_limits<double>::infinity();
+  double position = near;
+  for (int i = 0; i < 100; ++i) {
     double gradient[2];
-    if (high > 500.0 || stiffness.evaluate(high, gradient).slope_N_rad <= 0.0) return -1.0;
-    high *= 1.5;
+    const ForcePoint force = stiffness.evaluate(position, gradient);
+    if (force.slope_N_rad <= 0.0 && force.force_N < force_N) return -1.0;  // beyond the highest force
+    (force.force_N < force_N ? low : high) = position;
+    // Newton's step, or half of what is left where that leads out of it.
+    double next = position + (force_N - force.force_N) / force.slope_N_rad;
+    if (!(next > low && next < high)) next = std::isinf(high) ? 1.5 * position + 1.0 : 0.5 * (low + high);
+    if (next > kFarthest_rad) return -1.0;
+    if (std::abs(next - position) < kClose * (1.0 + position)) return next;
+    position = next;
   }
-  double low = 0.0;
-  for (int i = 0; i < 50; ++i) {
-    const double middle = 0.5 * (low + high);
-    (stiffness.force_N(middle) < force_N ? low : high) = middle;
-  }
-  return high;
+  return position;
 }
 
 /// Refines k1, k2 and one initial position a run on force over travel by Gauss-Newton; false if the runs do
 /// not tell.
 bool fit_stiffness(std::span<const Run> runs, std::vector<double>& positions, ParameterVector& theta) {
+  constexpr double kClose = 1e-6;  // of nominal, and rad: far less than a start has to be right by
   std::vector<std::vector<double>> travels;
   for (const Run& run : runs) travels.push_back(travel_of(run));
   Eigen::Vector2d coefficients = theta.head<2>();
@@ -87,10 +92,13 @@ bool fit_stiffness(std::span<const Run> runs, std::vector<double>& positions, Pa
     const Eigen::Vector2d step = statistics::SymmetricFactor(normal).solve(right);
     if (!step.allFinite()) return false;
     coefficients += unit.cwiseProduct(step);
+    double largest = step.cwiseAbs().maxCoeff();
     for (std::size_t r = 0; r < runs.size(); ++r) {
       const double move = eliminated[r][2] - eliminated[r].head<2>().dot(step);
       positions[r] += std::clamp(move, -3.0, 3.0);
+      largest = std::max(largest, std::abs(move));
     }
+    if (largest < kClose) break;
   }
   for (const std::size_t i : {std::size_t{k1}, std::size_t{k2}}) {
     const double ratio = coefficients[static_cast<Eigen::Index>(i)] / kParameterTable[i].nominal;
@@ -199,10 +207,12 @@ BrakeState initial_state_guess(const Run& run, const ParameterVector& theta) {
   const double threshold = std::max(200.0, 0.1 * largest(run.force_N));
   double weight = 0.0;
   double sum = 0.0;
+  double near = 1.0;
   for (std::size_t k = 0; k < run.size(); ++k) {
     if (run.force_N[k] < threshold) continue;
-    const double position = position_of(stiffness, run.force_N[k]);
+    const double position = position_of(stiffness, run.force_N[k], near);
     if (position < 0.0) continue;
+    near = position;
     double gradient[2];
     const double slope = stiffness.evaluate(position, gradient).slope_N_rad;
     weight += slope * slope;
