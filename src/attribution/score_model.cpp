@@ -254,11 +254,11 @@ void ScoreModel::estimate_overdispersion(Fit& fit) const {
     for (const int i : table_.groups[static_cast<std::size_t>(column.suspect.group)].checks)
       has.back()[static_cast<std::size_t>(i)] = 1;
   }
-  double squares = 0.0, counted = 0.0;
+  double of_each = 0.0, squares = 0.0, variances = 0.0, checks = 0.0, levels = 0.0;
   for (std::size_t s = 0; s < stations_.size(); ++s) {
     const Fit::AtStation& at = fit.stations[s];
     if (!at.strength.is_known()) continue;
-    counted -= 1.0;
+    levels += 1.0;
     for (const int i : stations_[s].checks) {
       const Eigen::MatrixXf& information = table_.information[static_cast<std::size_t>(i)];
       const Eigen::MatrixXd own = information(at.levels, at.levels).cast<double>();
@@ -270,12 +270,15 @@ void ScoreModel::estimate_overdispersion(Fit& fit) const {
           left -= fit.strengths_elsewhere[static_cast<Eigen::Index>(k)] *
                   information(at.levels, fit.elsewhere[k].suspect.direction).cast<double>();
       const double score = at.weights.dot(left);
-      squares += score * score / variance;
-      counted += 1.0;
+      of_each += score * score / variance;
+      squares += score * score;
+      variances += variance;
+      checks += 1.0;
     }
   }
-  fit.degrees = std::max(1.0, counted);
-  fit.overdispersion = squares / fit.degrees;
+  fit.degrees = std::max(1.0, checks - levels);
+  // Checks that tell more may be off by more.
+  if (variances > 0.0) fit.overdispersion = std::max(of_each, squares / variances * checks) / fit.degrees;
 }
 
 double ScoreModel::common_variance(const Fit& fit, const Eigen::VectorXd& weights) const {
