@@ -26,6 +26,13 @@ namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 using namespace std::chrono_literals;
 
+/// Throws what went wrong.
+template <class Value>
+Value value_of(Result<Value> result) {
+  if (!result) throw std::runtime_error(result.error().message);
+  return std::move(*result);
+}
+
 double since_s(Clock::time_point begin) {
   return std::chrono::duration<double>(Clock::now() - begin).count();
 }
@@ -90,8 +97,8 @@ double reading_s(const PublishedFactory& factory) {
   std::size_t counted = 0;
   for (const std::string& id : factory.server.column("SELECT id FROM clampd.checks ORDER BY id LIMIT 200")) {
     const double begin_s = cpu_of_this_thread_s();
-    const auto check = queue.check(id).value();
-    auto runs = reanalysis::unpack_runs(check).value();
+    const auto check = value_of(queue.check(id));
+    auto runs = value_of(reanalysis::unpack_runs(check));
     const double read_at_s = cpu_of_this_thread_s();
     reanalysis::analyse(check, std::move(runs), task, "", [] { return false; });
     read_s += read_at_s - begin_s;
@@ -147,8 +154,8 @@ double measure_queue(const PublishedFactory& factory, int waiting, int done) {
   const double server_s = cpu_of_server_s(server), own_s = cpu_of_this_thread_s();
   const Clock::time_point begin = Clock::now();
   for (int task = 0; task < kTasks; ++task) {
-    const auto claim = queue.claim("costs", 60s).value();
-    if (queue.finish(claim.value(), "{}", "costs").value() != reanalysis::Written::Yes)
+    const auto claim = value_of(queue.claim("costs", 60s));
+    if (value_of(queue.finish(claim.value(), "{}", "costs")) != reanalysis::Written::Yes)
       throw std::runtime_error("a claim was lost");
   }
   fmt::print(
