@@ -1,5 +1,6 @@
 #include "clampd/identify/parameter_scores.hpp"
 
+#include <algorithm>
 #include <deque>
 #include <vector>
 
@@ -74,7 +75,7 @@ class Together {
   int initial_states() const { return static_cast<int>(prior_.size()); }
   const std::vector<double>& prior() const { return prior_; }
 
-  /// False where the filter leaves all bounds with the first part.
+  /// False where the filter leaves all bounds with each part.
   bool linearise(const FitRun& run, std::size_t number, double& largest_innovation,
                  Eigen::MatrixXd& normal) const {
     ExtendedRun linear;
