@@ -113,6 +113,14 @@ again
 kill -0 $crowd_pid || fail "the clients are gone: $(cat /tmp/crowd.log)"
 kill $crowd_pid
 wait $crowd_pid || fail "the clients did not leave: $(cat /tmp/crowd.log)"
-wait_for_idle
+# What the kernel does as they leave can keep the guest's one processor from delivering the brake's frames: then the station
+# rightly says so, without torque, and goes on once that is cleared.
+idle_or_clearable() { station_is IDLE || clearable; }
+wait_until 10 "the station can go on" idle_or_clearable
+if ! station_is IDLE; then
+  [ "$(status fault)" = feedback-stale ] || fail "as the clients left: $(cat /tmp/status.json)"
+  echo "the brake's frames were late as the clients left"
+  clear_fault
+fi
 check last 2
 expect_pass last
