@@ -7,14 +7,6 @@
 #include "publish/servers.hpp"
 #include "publish/station_fixture.hpp"
 
-#ifdef __SANITIZE_ADDRESS__
-// libpqxx 6.4 loses the result of a query during which the connection breaks: two kilobytes an outage.
-extern "C" const char* __lsan_default_suppressions();
-extern "C" const char* __lsan_default_suppressions() {
-  return "leak:PQmakeEmptyPGresult\n";
-}
-#endif
-
 namespace clampd::publish {
 namespace {
 
