@@ -4,7 +4,6 @@
 #include <array>
 #include <cmath>
 #include <functional>
-#include <iterator>
 #include <limits>
 #include <span>
 #include <utility>
@@ -40,10 +39,7 @@ constexpr int kLine = 0, kNoGroup = -1, kStations = -2;  // in place of a group'
 
 /// Whether groups have most of their checks in common, so that nothing tells which of them has an effect.
 bool are_nearly_same(const CheckGroup& a, const CheckGroup& b) {
-  std::vector<int> common;
-  std::set_intersection(a.checks.begin(), a.checks.end(), b.checks.begin(), b.checks.end(),
-                        std::back_inserter(common));
-  return static_cast<double>(common.size()) >
+  return static_cast<double>(common_checks(a, b).size()) >
          kSameChecks * static_cast<double>(std::max(a.checks.size(), b.checks.size()));
 }
 
@@ -184,6 +180,7 @@ class Search {
   Trial of_difference(const ScoreModel::Fit& fit, std::span<const Estimate> stations) const;
   void judge(Trial& trial) const;
   std::vector<Trial> trials_of(int direction) const;
+  void put_into_model(const std::vector<Suspect>& selected);
   std::vector<Trial> trials_beside(const std::vector<Suspect>& selected);
   bool exchange_one(std::vector<Suspect>& selected);
   std::vector<Suspect> select();
@@ -336,12 +333,16 @@ std::vector<Trial> Search::trials_of(int direction) const {
   return trials;
 }
 
-/// Everything that is not selected, with these selected.
-std::vector<Trial> Search::trials_beside(const std::vector<Suspect>& selected) {
+void Search::put_into_model(const std::vector<Suspect>& selected) {
   selected_ = selected;
   model_.clear();
   for (const Suspect& each : selected)
     each.group == kStations ? model_.let_stations_differ(each.direction) : model_.add(each);
+}
+
+/// Everything that is not selected, with these selected.
+std::vector<Trial> Search::trials_beside(const std::vector<Suspect>& selected) {
+  put_into_model(selected);
   std::vector<Trial> all;
   for (int j = 0; j < static_cast<int>(table_.directions.size()); ++j) {
     const std::vector<Trial> of_direction = trials_of(j);
@@ -484,7 +485,7 @@ void Search::conclude(const std::vector<Suspect>& selected, PopulationResult& re
                                  .rivals = std::move(rivals)});
     }
   }
-  trials_beside(selected);
+  put_into_model(selected);
   add_levels(result);
 }
 

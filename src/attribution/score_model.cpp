@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
-#include <numeric>
 
 #include "clampd/statistics/median.hpp"
 
@@ -13,10 +12,10 @@ namespace {
 using Suspect = PopulationFinding::Suspect;
 
 constexpr double kMedianToDeviation = 1.4826;
-constexpr double kFarthest =
-    4.0;  // deviations in any direction; a check farther off counts as if it were there
-constexpr double kLeastLeft =
-    1e-3;  // of a direction's information, beside another: with less it is the same one
+// Deviations in any direction; a check farther off counts as if it were there.
+constexpr double kFarthest = 4.0;
+// Of a direction's information, beside another: with less it is the same one.
+constexpr double kLeastLeft = 1e-3;
 constexpr double kRidge = 1e-6;
 
 template <class Matrix>
@@ -24,13 +23,14 @@ double entry(const Matrix& matrix, int row, int column) {
   return static_cast<double>(matrix(row, column));
 }
 
-std::vector<int> common(const std::vector<int>& a, const std::vector<int>& b) {
+}  // namespace
+
+std::vector<int> common_checks(const CheckGroup& a, const CheckGroup& b) {
   std::vector<int> both;
-  std::set_intersection(a.begin(), a.end(), b.begin(), b.end(), std::back_inserter(both));
+  std::set_intersection(a.checks.begin(), a.checks.end(), b.checks.begin(), b.checks.end(),
+                        std::back_inserter(both));
   return both;
 }
-
-}  // namespace
 
 ScoreModel::ScoreModel(const PopulationTable& table) : table_(table) {
   group_by_station();
@@ -154,14 +154,23 @@ double ScoreModel::shared(const Fit& fit, const Column& a, const Column& b) cons
     sum = a.information;
   } else {
     const auto& groups = table_.groups;
-    for (const int i : common(groups[static_cast<std::size_t>(a.suspect.group)].checks,
-                              groups[static_cast<std::size_t>(b.suspect.group)].checks))
+    for (const int i : common_checks(groups[static_cast<std::size_t>(a.suspect.group)],
+                                     groups[static_cast<std::size_t>(b.suspect.group)]))
       sum += entry(table_.information[static_cast<std::size_t>(i)], a.suspect.direction, b.suspect.direction);
   }
   for (std::size_t s = 0; s < stations_.size(); ++s)
     if (a.across[s].size() > 0 && b.across[s].size() > 0)
       sum -= a.across[s].dot(fit.stations[s].information.solve(b.across[s]));
   return sum;
+}
+
+/// A column's score when the levels follow.
+double ScoreModel::own_score(const Fit& fit, const Column& column) const {
+  double score = column.score;
+  for (std::size_t s = 0; s < stations_.size(); ++s)
+    if (column.across[s].size() > 0)
+      score -= column.across[s].dot(fit.stations[s].information.solve(fit.stations[s].score));
+  return score;
 }
 
 ScoreModel::Fit ScoreModel::fit(int direction) const {
@@ -186,10 +195,7 @@ ScoreModel::Fit ScoreModel::fit(int direction) const {
   Eigen::VectorXd score(count);
   for (Eigen::Index a = 0; a < count; ++a) {
     const Column& column = fit.elsewhere[static_cast<std::size_t>(a)];
-    score[a] = column.score;
-    for (std::size_t s = 0; s < stations_.size(); ++s)
-      if (column.across[s].size() > 0)
-        score[a] -= column.across[s].dot(fit.stations[s].information.solve(fit.stations[s].score));
+    score[a] = own_score(fit, column);
     for (Eigen::Index b = 0; b <= a; ++b)
       information(a, b) = information(b, a) = shared(fit, column, fit.elsewhere[static_cast<std::size_t>(b)]);
   }
@@ -293,10 +299,7 @@ double ScoreModel::common_variance(const Fit& fit, const Eigen::VectorXd& weight
 Strength ScoreModel::of_group(const Fit& fit, int group) const {
   const Column column = this->column(fit, {fit.direction, group});
   double information = shared(fit, column, column);
-  double score = column.score;
-  for (std::size_t s = 0; s < stations_.size(); ++s)
-    if (column.across[s].size() > 0)
-      score -= column.across[s].dot(fit.stations[s].information.solve(fit.stations[s].score));
+  double score = own_score(fit, column);
   Strength strength;
   double explained = 0.0;
   for (std::size_t k = 0; k < fit.elsewhere.size(); ++k)

@@ -8,6 +8,9 @@
 
 namespace clampd::attribution {
 
+/// Checks that are in both groups.
+std::vector<int> common_checks(const CheckGroup& a, const CheckGroup& b);
+
 /// A strength as the scores tell it.
 struct Strength {
   double size = 0.0;
@@ -67,6 +70,7 @@ class ScoreModel {
   void move_far_checks_nearer();
   Column column(const Fit& fit, const PopulationFinding::Suspect& suspect) const;
   double shared(const Fit& fit, const Column& a, const Column& b) const;
+  double own_score(const Fit& fit, const Column& column) const;
   void fit_levels(Fit& fit) const;
   void estimate_overdispersion(Fit& fit) const;
 

@@ -146,11 +146,11 @@ Result<FileLock> FileLock::take(const std::string& path, std::chrono::millisecon
   // The folder's, since the file may not be there yet, and is another one each time it is written.
   const std::filesystem::path folder = std::filesystem::path(path).parent_path();
   const std::string name = folder.empty() ? "." : folder.string();
-  const int descriptor = ::open(name.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  if (descriptor < 0) return failure(fmt::format("{}: cannot open: {}", name, reason(errno)));
-  FileLock lock(descriptor);
+  const auto opened = std::make_shared<Descriptor>(::open(name.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  if (!opened->valid()) return failure(fmt::format("{}: cannot open: {}", name, reason(errno)));
   const auto end = std::chrono::steady_clock::now() + patience;
-  while (::flock(descriptor, LOCK_EX | LOCK_NB) != 0) {
+  // flock() waits for ever or not at all.
+  while (::flock(opened->get(), LOCK_EX | LOCK_NB) != 0) {
     if (errno != EWOULDBLOCK && errno != EINTR)
       return failure(fmt::format("{}: cannot lock: {}", name, reason(errno)));
     if (std::chrono::steady_clock::now() >= end)
@@ -158,12 +158,7 @@ Result<FileLock> FileLock::take(const std::string& path, std::chrono::millisecon
           "{}: another process is changing a file of its folder: try again when it has ended", path));
     std::this_thread::sleep_for(kPause);
   }
-  return lock;
-}
-
-void FileLock::Release::operator()(const int* descriptor) const {
-  ::close(*descriptor);
-  delete descriptor;
+  return FileLock(opened);
 }
 
 }  // namespace clampd

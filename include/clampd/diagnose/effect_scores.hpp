@@ -26,9 +26,8 @@ struct EffectDirection {
 };
 
 /// What the runs of one brake say about strengths d where all of them are neutral, the base model's
-/// parameters, its noise and the runs' initial states fitted. Strengths d grow the log-likelihood by score .
-/// d
-/// - 1/2 d . information d, as far as the model is linear in them. A single brake may tell next to nothing;
+/// parameters, its noise and the runs' initial states fitted. As far as the model is linear in them, they
+/// grow the log-likelihood by score . d - 1/2 d . information d. A single brake may tell next to nothing;
 /// scores and informations of many brakes add up.
 struct EffectScores {
   std::vector<EffectDirection> directions;

@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <utility>
 
 #include "clampd/base/result.hpp"
 
@@ -24,11 +25,8 @@ class FileLock {
   static Result<FileLock> take(const std::string& path, std::chrono::milliseconds patience);
 
  private:
-  struct Release {
-    void operator()(const int* descriptor) const;
-  };
-  explicit FileLock(int descriptor) : descriptor_(new int(descriptor)) {}
-  std::unique_ptr<int, Release> descriptor_;
+  explicit FileLock(std::shared_ptr<const void> folder) : folder_(std::move(folder)) {}
+  std::shared_ptr<const void> folder_;  ///< open, and locked as long as it is
 };
 
 }  // namespace clampd
