@@ -22,7 +22,7 @@ file(CONFIGURE OUTPUT ${STATION_CONFIGURATION} CONTENT "${STATION_TEXT}" @ONLY)
 install(TARGETS clampd clampctl clampd-plant clampd-worker)
 install(DIRECTORY configs/drives configs/brakes configs/prometheus DESTINATION ${CMAKE_INSTALL_DATADIR}/clampd)
 install(FILES ${STATION_CONFIGURATION} configs/brake.dbc configs/limits.toml configs/plant.toml configs/sheet.toml
-  configs/trajectory.csv
+  configs/trajectory.csv configs/trajectory-sliding.csv configs/trajectory-breakaway.csv
   DESTINATION /etc/clampd)
 install(FILES systemd/clampd-can.default DESTINATION /etc/default RENAME clampd-can)
 install(FILES systemd/clampd.service systemd/clampd.socket systemd/clampd-can@.service systemd/clampd-worker@.service

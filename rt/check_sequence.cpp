@@ -19,6 +19,7 @@ constexpr double kProvenShare = 0.25;
 // From run to run the stiffness that the force reading shows does not change by more.
 constexpr double kStiffnessChange = 0.12;
 constexpr double kComparedForce_N = 2000.0;
+constexpr double kGentleRun = 2.5;  // times that: a soft brake that follows it might not compress so far
 constexpr double kStretch_rad = 0.7;     // of opening over which the force is averaged
 constexpr double kStretchDrop_N = 60.0;  // the force still falls: pads in contact
 constexpr double kOpenMargin_rad = 1.5;  // on from where the force no longer falls
@@ -126,13 +127,14 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
 
   last_.phase = phase();
   last_.repeat = repeat_;
+  last_.trajectory = trajectory_;
   last_.trajectory_index = -1;
   last_.force_reference_N = 0.0;
   if (stage_ == Stage::Trajectory) {
     const std::int64_t row = index_ - trajectory_start_;
-    if (row < static_cast<std::int64_t>(plan_->reference.rows.size())) {
+    if (row < static_cast<std::int64_t>(rows().size())) {
       last_.trajectory_index = static_cast<std::int32_t>(row);
-      last_.force_reference_N = plan_->reference.rows[static_cast<std::size_t>(row)].force_N;
+      last_.force_reference_N = rows()[static_cast<std::size_t>(row)].force_N;
       compare_stiffness();
     }
   }
@@ -167,6 +169,7 @@ inline const CheckSequence::ForcePair& CheckSequence::median_pair(const ForcePai
 
 /// Adds to what this run's force is, as a share of what the nominal brake would have at the same compression.
 inline void CheckSequence::compare_stiffness() noexcept {
+  run_reference_N_ = std::max(run_reference_N_, last_.force_reference_N);
   const double u = observer_.position_rad() - last_.context.contact_rad;
   if (u <= 0.0) return;
   const double nominal_N = plan_->drive.stiffness().force_N(u);
@@ -176,15 +179,20 @@ inline void CheckSequence::compare_stiffness() noexcept {
 }
 
 /// At the end of a run: a force reading that was true in the first runs shows the same stiffness in all
-/// others.
+/// others that clamp hard enough to compare it.
 void CheckSequence::judge_stiffness() noexcept {
   const double share = run_nominal_N_ > 0.0 ? run_force_N_ / run_nominal_N_ : 0.0;
-  run_force_N_ = run_nominal_N_ = 0.0;
-  if (share <= 0.0 && first_share_ <= 0.0) return;
+  const bool is_gentle = run_reference_N_ < kGentleRun * kComparedForce_N;
+  run_force_N_ = run_nominal_N_ = run_reference_N_ = 0.0;
+  if (share <= 0.0 && (first_share_ <= 0.0 || is_gentle)) return;
   if (first_share_ <= 0.0)
     first_share_ = share;
   else if (std::abs(share - first_share_) > kStiffnessChange * first_share_)
     unproven_ = FaultCause::ForceReading;
+}
+
+inline const std::vector<ReferenceRow>& CheckSequence::rows() const noexcept {
+  return trajectory_ == 0 ? plan_->reference.rows : plan_->further[trajectory_ - 1].rows;
 }
 
 /// On the way to a run that is not needed any more.
@@ -322,7 +330,7 @@ double CheckSequence::approach() noexcept {
 }
 
 double CheckSequence::start_position_rad() const noexcept {
-  return stiffness_.contact_rad() + plan_->reference.rows.front().position_rad;
+  return stiffness_.contact_rad() + rows().front().position_rad;
 }
 
 double CheckSequence::move_to_start() noexcept {
@@ -349,18 +357,18 @@ double CheckSequence::settle() noexcept {
 }
 
 inline double CheckSequence::track() noexcept {
-  const auto& rows = plan_->reference.rows;
   const auto next = static_cast<std::size_t>(index_ + 1 - trajectory_start_);  // the row this command acts in
-  if (next >= rows.size()) {
+  if (next >= rows().size()) {
     judge_stiffness();
     ++repeat_;
     const bool again = repeat_ < plan_->repeats && !concluded_;
+    if (again) trajectory_ = next_trajectory_ <= plan_->further.size() ? next_trajectory_ : 0;
     if (!again) --repeat_;
     enter(again ? Stage::Return : Stage::Release);
     return again ? move_to_start() : release();
   }
-  return tracking_torque_Nm(rows[next], rows[std::min(next + 1, rows.size() - 1)], plan_->drive, observer_,
-                            stiffness_);
+  return tracking_torque_Nm(rows()[next], rows()[std::min(next + 1, rows().size() - 1)], plan_->drive,
+                            observer_, stiffness_);
 }
 
 double CheckSequence::release() noexcept {

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <vector>
 
 #include "clampd/base/realtime.hpp"
 #include "clampd/control/control_law.hpp"
@@ -18,6 +19,9 @@ namespace clampd::rt {
 /// One check, planned before it starts and read-only for the loop while it runs.
 struct CheckPlan {
   Reference reference;
+  /// Other trajectories that a run after the first may follow, each with as many rows; trajectory k of a
+  /// check is `reference` for k = 0, else further[k - 1].
+  std::vector<Reference> further;
   NominalDrive drive;
   std::uint16_t repeats = 20;
   double tare_s = 0.5;  ///< rest in the clearance for the offsets
@@ -38,6 +42,7 @@ struct SequenceOutput {
   double torque_Nm = 0.0;  ///< command that acts from the next sample on; already within the plan's limit
   CheckPhase phase = CheckPhase::None;
   std::uint16_t repeat = 0;
+  std::uint8_t trajectory = 0;         ///< which one the run follows
   std::int32_t trajectory_index = -1;  ///< row of the run that *this* sample is; -1 outside of a run
   double force_reference_N = 0.0;      ///< reference at this sample
   ReadingContext context;              ///< what is known of the brake, to judge the next sample by
@@ -66,6 +71,9 @@ class CheckSequence {
   /// The runs so far are enough: a run that is under way is ended, another does not begin, the brake is
   /// released. Before the first run is over it means nothing.
   CLAMPD_REALTIME void conclude() noexcept { concluded_ = true; }
+  /// The trajectory that runs which have not begun their way to it shall follow; the first run always follows
+  /// the plan's reference. One that the plan does not have counts as that.
+  CLAMPD_REALTIME void follow(std::uint8_t trajectory) noexcept { next_trajectory_ = trajectory; }
   CLAMPD_REALTIME void abandon() noexcept;
   CLAMPD_REALTIME bool done() const noexcept { return done_; }
 
@@ -95,6 +103,7 @@ class CheckSequence {
   CLAMPD_REALTIME CheckPhase phase() const noexcept;
   CLAMPD_REALTIME std::int64_t samples_in_stage() const noexcept { return index_ - stage_start_; }
   CLAMPD_REALTIME double start_position_rad() const noexcept;
+  CLAMPD_REALTIME const std::vector<ReferenceRow>& rows() const noexcept;
 
   const CheckPlan* plan_ = nullptr;
   Stage stage_ = Stage::Done;
@@ -105,6 +114,8 @@ class CheckSequence {
   std::int64_t stage_start_ = 0;
   std::int64_t trajectory_start_ = 0;
   std::uint16_t repeat_ = 0;
+  std::uint8_t trajectory_ = 0;
+  std::uint8_t next_trajectory_ = 0;
   SequenceOutput last_;
 
   double force_N_ = 0.0;  ///< tared reading
@@ -137,6 +148,7 @@ class CheckSequence {
   } proof_;
   double run_force_N_ = 0.0;  ///< sums over the present run
   double run_nominal_N_ = 0.0;
+  double run_reference_N_ = 0.0;  ///< the hardest that it is to clamp
   double first_share_ = 0.0;  ///< force over the nominal brake's at the same compression, in the first run
   FaultCause unproven_ = FaultCause::None;
 

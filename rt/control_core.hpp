@@ -95,6 +95,10 @@ struct RequestBoard {
   /// The check whose runs are enough, by the number that checks_finished will have after it: it begins no
   /// further run. Numbers never come again, so that this is never about another check.
   std::atomic<std::uint64_t> enough_runs_in{0};
+  /// Which trajectory the next run of a check follows: the check by that number, times kTrajectories, and the
+  /// trajectory.
+  static constexpr std::uint64_t kTrajectories = 256;
+  std::atomic<std::uint64_t> next_trajectory{0};
 
   /// An operator stop: ends a check, and voids every start that was asked for before. Any thread. It has
   /// taken effect once StatusBoard::stops has reached what this returns.
@@ -312,6 +316,9 @@ class BasicControlCore {
   void answer(const BrakeFeedback& feedback, Sample& sample, bool first) noexcept {
     if (first) sequence_.start(plan_);
     if (requests_.enough_runs_in.load(std::memory_order_relaxed) == finished_ + 1) sequence_.conclude();
+    const std::uint64_t next = requests_.next_trajectory.load(std::memory_order_relaxed);
+    if (next / RequestBoard::kTrajectories == finished_ + 1)
+      sequence_.follow(static_cast<std::uint8_t>(next % RequestBoard::kTrajectories));
     const SequenceOutput& output = sequence_.step(feedback);
     torque_Nm_ = output.torque_Nm;
     supervisor_.raise(output.fault);
@@ -325,6 +332,7 @@ class BasicControlCore {
     sample.force_reference_N = output.force_reference_N;
     sample.trajectory_index = output.trajectory_index;
     sample.repeat = output.repeat;
+    sample.trajectory = output.trajectory;
     sample.phase = output.phase;
   }
 

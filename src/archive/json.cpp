@@ -79,7 +79,9 @@ ordered_json stopping_json(const std::optional<StoppingRecord>& stopping) {
   return {{"rule", "auto"},
           {"most", stopping->most},
           {"coverage_factor", number_or_null(stopping->coverage_factor)},
-          {"reason", stopping->reason}};
+          {"reason", stopping->reason},
+          {"trajectories", stopping->trajectories},
+          {"followed", stopping->followed}};
 }
 
 /// Null where the station had none.

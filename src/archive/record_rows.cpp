@@ -1,5 +1,6 @@
 #include "src/archive/record_rows.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -60,11 +61,15 @@ std::optional<SystematicRecord> systematic_from(const std::string& text) {
 
 /// Empty where the number of repeats was fixed.
 std::string stopping_text(const std::optional<StoppingRecord>& stopping) {
-  return stopping ? nlohmann::json{{"most", stopping->most},
-                                   {"coverage_factor", stopping->coverage_factor},
-                                   {"reason", stopping->reason}}
-                        .dump()
-                  : "";
+  if (!stopping) return "";
+  nlohmann::json document{{"most", stopping->most},
+                          {"coverage_factor", stopping->coverage_factor},
+                          {"reason", stopping->reason}};
+  if (!stopping->trajectories.empty()) {
+    document["trajectories"] = stopping->trajectories;
+    document["followed"] = stopping->followed;
+  }
+  return document.dump();
 }
 
 std::optional<StoppingRecord> stopping_from(const std::string& text) {
@@ -72,7 +77,9 @@ std::optional<StoppingRecord> stopping_from(const std::string& text) {
   const nlohmann::json stopping = nlohmann::json::parse(text);
   return StoppingRecord{stopping.at("most").get<std::uint32_t>(),
                         stopping.at("coverage_factor").get<double>(),
-                        stopping.at("reason").get<std::string>()};
+                        stopping.at("reason").get<std::string>(),
+                        stopping.value("trajectories", std::vector<std::string>()),
+                        stopping.value("followed", std::vector<std::uint8_t>())};
 }
 
 /// Empty where the station had no sheet. What is not known and limits that are not there are left out: JSON
@@ -320,6 +327,13 @@ void read_parameters(SQLite::Database& database, CheckRecord& r) {
   }
 }
 
+/// Of the runs, by what the record says of its stopping.
+void tell_trajectories(CheckRecord& r) {
+  if (!r.stopping) return;
+  for (std::size_t i = 0; i < std::min(r.runs.size(), r.stopping->followed.size()); ++i)
+    r.runs[i].trajectory = r.stopping->followed[i];
+}
+
 void read_run_figures(SQLite::Database& database, CheckRecord& r) {
   SQLite::Statement runs(
       database, fmt::format("SELECT {} FROM runs WHERE check_id = ? ORDER BY position", kRunFigures));
@@ -328,6 +342,7 @@ void read_run_figures(SQLite::Database& database, CheckRecord& r) {
     Columns columns(runs);
     r.runs.push_back(read_run_figures(columns));
   }
+  tell_trajectories(r);
 }
 
 Result<std::string> read_run_text(Columns& columns) {
@@ -347,6 +362,7 @@ Result<void> read_details(SQLite::Database& database, const std::string& path, C
     if (!run) return tl::unexpected(run.error());
     r.runs.push_back(std::move(*run));
   }
+  tell_trajectories(r);
   read_histogram(database, r.id, r.timing);
   read_flight_recorder(database, r);
   return {};

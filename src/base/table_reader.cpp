@@ -205,13 +205,33 @@ void TableReader::date(std::string_view key, std::string& target) {
   target = value;
 }
 
+namespace {
+
+std::string in_folder(const std::string& value, const std::string& folder) {
+  return value.empty() || std::filesystem::path(value).is_absolute()
+             ? value
+             : (std::filesystem::path(folder) / value).lexically_normal().string();
+}
+
+}  // namespace
+
 void TableReader::path(std::string_view key, std::string& target, const std::string& folder) {
   std::string value;
   text(key, value, 4000);
   if (error_ || !has(key)) return;
-  target = value.empty() || std::filesystem::path(value).is_absolute()
-               ? value
-               : (std::filesystem::path(folder) / value).lexically_normal().string();
+  target = in_folder(value, folder);
+}
+
+void TableReader::paths(std::string_view key, std::optional<std::vector<std::string>>& target,
+                        const std::string& folder) {
+  std::vector<std::string> values;
+  texts(key, values);
+  if (error_ || !has(key)) return;
+  for (std::string& value : values) {
+    if (value.empty()) return refuse(at(key)->source(), fmt::format("{} names a file with no name", name(key)));
+    value = in_folder(value, folder);
+  }
+  target = std::move(values);
 }
 
 const toml::table* TableReader::table(std::string_view key) {

@@ -111,6 +111,8 @@ Result<void> CheckConductor::begin(const CheckRequest& request, const rt::StartT
   CheckContext context;
   context.trajectory_rows = plan_.reference.rows.size();
   context.trajectory_sha256 = check_->trajectory_sha256;
+  context.trajectories = check_->trajectories;
+  context.trajectories_sha256 = check_->trajectories_sha256;
   context.software_version = std::string(kVersion);
   context.started_utc_ns = now.utc_ns;
   context.sheet = check_->sheet;
@@ -143,6 +145,15 @@ Result<void> CheckConductor::open(const rt::StartTicket& ticket, Instant now) {
   return {};
 }
 
+/// What the looks at the runs so far ask of the ones to come.
+void CheckConductor::advise_loop() {
+  const std::uint64_t check = finished_before_ + 1;
+  rt::RequestBoard& requests = core_.requests();
+  requests.next_trajectory.store(check * rt::RequestBoard::kTrajectories + session_->next_trajectory(),
+                                 std::memory_order_relaxed);
+  if (session_->has_enough()) requests.enough_runs_in.store(check, std::memory_order_relaxed);
+}
+
 void CheckConductor::take_samples() {
   const bool recording = session_ != nullptr && !concluding();
   Sample sample;
@@ -159,8 +170,7 @@ std::optional<CheckRecord> CheckConductor::pump(Instant now) {
   const bool finished = busy() && !concluding() &&
                         core_.status().checks_finished.load(std::memory_order_acquire) != finished_before_;
   take_samples();
-  if (session_ && session_->has_enough())
-    core_.requests().enough_runs_in.store(finished_before_ + 1, std::memory_order_relaxed);
+  if (session_) advise_loop();
   if (finished && opening_.under_way) {
     end_opening(outcome_at(now));
   } else if (finished && mode_ == WorkerMode::Synchronous) {

@@ -84,6 +84,9 @@ Result<void> EmbeddedStation::use_trajectory(const Run& trajectory) {
   const std::string sha256 = sha256_hex(format_run(trajectory));
   const auto use_in = [&](PreparedCheck& check, const PreparedCheck& as_configured) {
     check.plan.reference = *reference;
+    check.plan.further.clear();
+    check.trajectories = {};
+    check.trajectories_sha256.clear();
     check.trajectory_sha256 = sha256;
     const double own_rows = static_cast<double>(as_configured.plan.reference.rows.size());
     const double longer_s = std::max(0.0, static_cast<double>(trajectory.size()) - own_rows) * kPeriod_s;

@@ -207,10 +207,12 @@ gpio::PanelSettings panel_settings(const StationConfiguration& configuration) {
   return panel;
 }
 
-rt::CheckPlan check_plan(const StationConfiguration& configuration, Reference reference) {
+/// `references`: the check's own first.
+rt::CheckPlan check_plan(const StationConfiguration& configuration, const std::vector<Reference>& references) {
   const CheckSettings& check = configuration.check;
   rt::CheckPlan plan;
-  plan.reference = std::move(reference);
+  plan.reference = references.front();
+  plan.further.assign(references.begin() + 1, references.end());
   plan.drive = nominal_drive(configuration.model);
   plan.repeats = static_cast<std::uint16_t>(check.repeats_planned());
   plan.tare_s = check.tare_s;
@@ -274,15 +276,55 @@ Result<LimitSet> limits_of(const StationConfiguration& configuration, const Reci
                                            : read_limits(configuration.limits_file);
 }
 
-Result<void> prepare_trajectory(PreparedCheck& check) {
-  const std::string& file = check.configuration.check.trajectory;
-  const Result<LoadedRun> trajectory =
-      file.empty() ? parse_run(std::string(kBuiltinTrajectory), "built-in trajectory.csv") : read_run(file);
+struct LoadedReference {
+  Reference reference;
+  std::string sha256;
+};
+
+Result<LoadedReference> reference_of(const Result<LoadedRun>& trajectory, const BrakeParameters& nominal) {
   if (!trajectory) return tl::unexpected(trajectory.error());
-  Result<Reference> reference = build_reference(trajectory->run, check.configuration.model);
-  if (!reference) return tl::unexpected(reference.error());
-  check.trajectory_sha256 = sha256_hex(format_run(trajectory->run));
-  check.plan = check_plan(check.configuration, std::move(*reference));
+  return build_reference(trajectory->run, nominal).map([&](Reference reference) {
+    return LoadedReference{std::move(reference), sha256_hex(format_run(trajectory->run))};
+  });
+}
+
+/// The check's trajectory first, then the further ones.
+std::vector<Result<LoadedRun>> read_trajectories(const CheckSettings& check) {
+  std::vector<Result<LoadedRun>> runs;
+  const bool is_builtin = check.trajectory.empty();
+  runs.push_back(is_builtin ? parse_run(std::string(kBuiltinTrajectory), "built-in trajectory.csv")
+                            : read_run(check.trajectory));
+  if (check.further_trajectories) {
+    for (const std::string& file : *check.further_trajectories) runs.push_back(read_run(file));
+  } else if (is_builtin) {
+    runs.push_back(parse_run(std::string(kBuiltinSliding), "built-in trajectory-sliding.csv"));
+    runs.push_back(parse_run(std::string(kBuiltinBreakaway), "built-in trajectory-breakaway.csv"));
+  }
+  return runs;
+}
+
+constexpr std::size_t kMostTrajectories = 16;
+
+Result<void> prepare_trajectories(PreparedCheck& check) {
+  std::vector<Reference> references;
+  for (const Result<LoadedRun>& run : read_trajectories(check.configuration.check)) {
+    Result<LoadedReference> loaded = reference_of(run, check.configuration.model);
+    if (!loaded) return tl::unexpected(loaded.error());
+    if (!references.empty() && loaded->reference.rows.size() != references[0].rows.size())
+      return failure(fmt::format(
+          "{}: a further trajectory must have as many rows as the check's own, {}, not {}",
+          run->run.name, references[0].rows.size(), loaded->reference.rows.size()));
+    references.push_back(std::move(loaded->reference));
+    check.trajectories_sha256.push_back(std::move(loaded->sha256));
+  }
+  if (references.size() > kMostTrajectories)
+    return failure(fmt::format("{}check.further_trajectories names {} files; at most {}",
+                               check.configuration.file.empty() ? "" : check.configuration.file + ": ",
+                               references.size() - 1, kMostTrajectories - 1));
+  check.trajectory_sha256 = check.trajectories_sha256.front();
+  check.plan = check_plan(check.configuration, references);
+  check.trajectories = TrajectorySet(std::move(references), check.configuration.model,
+                                     check.configuration.check.torque_limit_Nm);
   return check_deadline(check.configuration, check.plan);
 }
 
@@ -315,7 +357,7 @@ Result<PreparedCheck> prepare_check(const StationConfiguration& configuration, c
           sheet->file));
     check.sheet = std::move(*sheet);
   }
-  return prepare_trajectory(check).map([&] { return std::move(check); });
+  return prepare_trajectories(check).map([&] { return std::move(check); });
 }
 
 /// Codec and socket belong to a loop that never stands still, since it feeds the brake's watchdog in IDLE

@@ -505,6 +505,7 @@ Result<nlohmann::ordered_json> Daemon::run(const std::string& id, std::size_t nu
     return failure(fmt::format("check {} has {} runs", record->id, record->runs.size()));
   const Run& run = record->runs[number].run;
   return nlohmann::ordered_json{{"run", number},
+                                {"trajectory", record->runs[number].trajectory},
                                 {"time_s", run.time_s},
                                 {"force_N", run.force_N},
                                 {"velocity_rad_s", run.velocity_rad_s},
@@ -519,12 +520,13 @@ Result<nlohmann::ordered_json> Daemon::statistics(const CheckFilter& filter) {
       });
 }
 
-nlohmann::ordered_json Daemon::reference() {
+namespace {
+
+nlohmann::ordered_json reference_json(const Reference& reference) {
   nlohmann::ordered_json force = nlohmann::ordered_json::array();
   nlohmann::ordered_json velocity = force;
   nlohmann::ordered_json torque = force;
-  const std::lock_guard lock(mutex_);
-  for (const ReferenceRow& row : conductor_.reference().rows) {
+  for (const ReferenceRow& row : reference.rows) {
     force.push_back(row.force_N);
     velocity.push_back(row.velocity_rad_s);
     torque.push_back(row.torque_Nm);
@@ -533,6 +535,17 @@ nlohmann::ordered_json Daemon::reference() {
           {"force_N", std::move(force)},
           {"velocity_rad_s", std::move(velocity)},
           {"torque_Nm", std::move(torque)}};
+}
+
+}  // namespace
+
+nlohmann::ordered_json Daemon::reference() {
+  const std::lock_guard lock(mutex_);
+  const rt::CheckPlan& plan = conductor_.plan();
+  nlohmann::ordered_json document = reference_json(plan.reference);
+  document["further"] = nlohmann::ordered_json::array();
+  for (const Reference& further : plan.further) document["further"].push_back(reference_json(further));
+  return document;
 }
 
 nlohmann::ordered_json Daemon::live(std::uint64_t run, std::size_t row) {

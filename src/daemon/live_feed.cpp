@@ -13,6 +13,7 @@ void LiveFeed::take(const Sample& sample) {
   if (sample.trajectory_index <= last_index_ || last_index_ < 0) {
     ++run_;
     repeat_ = sample.repeat;
+    trajectory_ = sample.trajectory;
     force_N_.clear();
     velocity_rad_s_.clear();
     torque_Nm_.clear();
@@ -31,6 +32,7 @@ nlohmann::ordered_json LiveFeed::since(std::uint64_t run, std::size_t row) const
   };
   return {{"run", run_},
           {"repeat", repeat_},
+          {"trajectory", trajectory_},
           {"from", from},
           {"force_N", rest(force_N_)},
           {"velocity_rad_s", rest(velocity_rad_s_)},

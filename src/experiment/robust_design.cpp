@@ -6,6 +6,7 @@
 #include <cmath>
 #include <memory>
 #include <numeric>
+#include <optional>
 #include <random>
 
 #include <fmt/format.h>
@@ -16,6 +17,7 @@
 #include "clampd/base/parallel.hpp"
 #include "clampd/experiment/manoeuvres.hpp"
 #include "clampd/experiment/reference.hpp"
+#include "clampd/identify/expected_covariance.hpp"
 #include "closed_loop.hpp"
 
 namespace clampd {
@@ -41,29 +43,78 @@ constexpr std::size_t kElite = 6;
 constexpr std::size_t kRoundStarts = 8;
 constexpr int kSeedingStarts = 48;  ///< of each cautious D design
 
+/// Wide open, so that the search sees where the limits are broken, and by how much.
+constexpr ReferenceOptions kOpen{.force_limit_N = 1e6, .velocity_limit_rad_s = 1e6, .torque_limit_Nm = 1e3};
+
 constexpr double kStepLevel_N = 1000.0;
 constexpr double kStepRise_s = 0.01;
 constexpr double kLeastHold = 1.0 / 3.0;  ///< of the length
 
+/// What a tracked trajectory tells of each of some brakes; smaller is better.
+class RunScore {
+ public:
+  /// The target's trajectory must be a reference of the nominal brake.
+  RunScore(const NoiseLevels& noise, const std::optional<RobustTarget>& target, const ClosedLoop& loop,
+           const BrakeParameters& nominal, std::span<const BrakeParameters> brakes)
+      : noise_(noise), target_(target) {
+    if (!target_) return;
+    const Reference reference = *build_reference(target_->beside, nominal, kOpen);
+    TrackedRun run;
+    for (const BrakeParameters& brake : brakes) {
+      loop.track(reference, brake, run);
+      beside_.push_back(contributions(brake, run));
+    }
+  }
+
+  /// `at`: of the brakes; it has followed the trajectory to the end.
+  double operator()(std::size_t at, const BrakeParameters& brake, const TrackedRun& run) const {
+    if (!target_)
+      return -log_det(initial_state_unknown(
+          joint_information(brake, BrakeState::Zero(), Excitation{.torque_Nm = run.torque_Nm}, noise_)));
+    const Contributions design = contributions(brake, run);
+    double sum = 0.0;
+    for (std::size_t method = 0; method < kMethods.size(); ++method) {
+      const std::array both{beside_[at][method], design[method]};
+      const std::array counts{target_->runs, target_->runs};
+      const ParameterMatrix covariance = expected_covariance(both, counts);
+      for (const Parameter parameter : target_->parameters) sum += std::log(covariance(parameter, parameter));
+    }
+    const double mean = sum / static_cast<double>(kMethods.size() * target_->parameters.size());
+    return std::isfinite(mean) ? mean : kInfinity;
+  }
+
+ private:
+  static constexpr std::array kMethods{Method::OutputError, Method::PredictionError};
+  using Contributions = std::array<ExpectedContribution, kMethods.size()>;
+
+  Contributions contributions(const BrakeParameters& brake, const TrackedRun& run) const {
+    Contributions result;
+    for (std::size_t method = 0; method < kMethods.size(); ++method)
+      result[method] = expected_contribution(kMethods[method], brake, BrakeState::Zero(),
+                                             Excitation{.torque_Nm = run.torque_Nm}, noise_);
+    return result;
+  }
+
+  NoiseLevels noise_;
+  std::optional<RobustTarget> target_;
+  std::vector<Contributions> beside_;
+};
+
 RobustEvaluation evaluate_reference(const Reference& reference, const ClosedLoop& loop,
-                                    std::span<const BrakeParameters> brakes, const NoiseLevels& noise) {
+                                    std::span<const BrakeParameters> brakes, const RunScore& score) {
   RobustEvaluation result;
   result.torque_max_Nm = result.force_max_N = result.stop_force_max_N = result.velocity_max_rad_s = 0.0;
   double squares_N2 = 0.0;
   TrackedRun run;
-  for (const BrakeParameters& brake : brakes) {
-    loop.track(reference, brake, run);
+  for (std::size_t i = 0; i < brakes.size(); ++i) {
+    loop.track(reference, brakes[i], run);
     const double unbounded = run.bounded ? 0.0 : kInfinity;
     result.torque_max_Nm = std::max(result.torque_max_Nm, run.torque_max_Nm);
     result.force_max_N = std::max({result.force_max_N, run.force_max_N, unbounded});
     result.stop_force_max_N = std::max({result.stop_force_max_N, run.stop_force_max_N, unbounded});
     result.velocity_max_rad_s = std::max({result.velocity_max_rad_s, run.velocity_max_rad_s, unbounded});
     squares_N2 += run.tracking_rms_N * run.tracking_rms_N;
-    double logdet = kInfinity;
-    if (run.bounded)
-      logdet = -log_det(initial_state_unknown(
-          joint_information(brake, BrakeState::Zero(), Excitation{.torque_Nm = run.torque_Nm}, noise)));
-    result.logdet.push_back(logdet);
+    result.logdet.push_back(run.bounded ? score(i, brakes[i], run) : kInfinity);
   }
   const auto count = static_cast<double>(brakes.size());
   result.tracking_rms_N = std::sqrt(squares_N2 / count);
@@ -106,7 +157,8 @@ class RobustProblem {
       : options_(options),
         brakes_(brakes),
         extremes_(extreme_brakes(options.nominal)),
-        loop_(options.nominal, options.limits.torque_Nm) {}
+        loop_(options.nominal, options.limits.torque_Nm),
+        score_(options.noise, options.target, loop_, options.nominal, brakes) {}
 
   Value evaluate(std::span<const double> x) {
     ++evaluations_;
@@ -120,11 +172,9 @@ class RobustProblem {
     const double force_N = *std::max_element(run.force_N.begin(), run.force_N.end());
     double speed_rad_s = 0.0;
     for (const double velocity : run.velocity_rad_s) speed_rad_s = std::max(speed_rad_s, std::abs(velocity));
-    // Wide open, so that the search sees where the limits are broken, and by how much.
-    const ReferenceOptions open{.force_limit_N = 1e6, .velocity_limit_rad_s = 1e6, .torque_limit_Nm = 1e3};
-    const Result<Reference> reference = build_reference(run, options_.nominal, open);
+    const Result<Reference> reference = build_reference(run, options_.nominal, kOpen);
     if (!reference) return value;
-    const RobustEvaluation evaluation = evaluate_reference(*reference, loop_, brakes_, options_.noise);
+    const RobustEvaluation evaluation = evaluate_reference(*reference, loop_, brakes_, score_);
     double worst_force_N = evaluation.force_max_N;
     double worst_speed_rad_s = evaluation.velocity_max_rad_s;
     TrackedRun tracked;
@@ -169,6 +219,7 @@ class RobustProblem {
   std::span<const BrakeParameters> brakes_;
   std::vector<BrakeParameters> extremes_;
   ClosedLoop loop_;
+  RunScore score_;
   std::int64_t evaluations_ = 0;
 };
 
@@ -335,6 +386,11 @@ Result<void> RobustOptions::validate() const {
   if (const Result<void> valid = design.validate(); !valid) return valid;
   if (!(noise.torque_Nm >= 0.0 && std::isfinite(noise.torque_Nm)))
     return failure("the noise of the torque must not be negative");
+  if (target) {
+    if (target->parameters.empty() || !(target->runs > 0.0))
+      return failure("a design for some parameters needs one of them, and runs to be driven beside");
+    if (const auto beside = build_reference(target->beside, nominal); !beside) return tl::unexpected(beside.error());
+  }
   if (search_brakes < 2 || search_brakes > 10000 || verify_brakes < 10 || verify_brakes > 100000)
     return failure("the prior needs 2 to 10000 brakes for the search and 10 to 100000 to verify");
   return {};
@@ -342,22 +398,25 @@ Result<void> RobustOptions::validate() const {
 
 Result<RobustEvaluation> evaluate_robust(const Run& trajectory, const BrakeParameters& nominal,
                                          std::span<const BrakeParameters> brakes, const NoiseLevels& noise,
-                                         double torque_limit_Nm) {
+                                         double torque_limit_Nm, const std::optional<RobustTarget>& target) {
   CLAMPD_ASSERT(!brakes.empty());
   const Result<Reference> reference = build_reference(trajectory, nominal);
   if (!reference) return tl::unexpected(reference.error());
-  return evaluate_reference(*reference, ClosedLoop(nominal, torque_limit_Nm), brakes, noise);
+  const ClosedLoop loop(nominal, torque_limit_Nm);
+  return evaluate_reference(*reference, loop, brakes, RunScore(noise, target, loop, nominal, brakes));
 }
 
-RobustGain gain_over(const RobustEvaluation& baseline, const RobustEvaluation& design) {
-  constexpr auto kParameters = static_cast<double>(kParameterCount);
-  return {std::exp((baseline.expected_logdet - design.expected_logdet) / kParameters),
-          std::exp((baseline.worst_decile_logdet - design.worst_decile_logdet) / kParameters)};
+RobustGain gain_over(const RobustEvaluation& baseline, const RobustEvaluation& design,
+                     const std::optional<RobustTarget>& target) {
+  const double parameters = target ? 1.0 : static_cast<double>(kParameterCount);
+  return {std::exp((baseline.expected_logdet - design.expected_logdet) / parameters),
+          std::exp((baseline.worst_decile_logdet - design.worst_decile_logdet) / parameters)};
 }
 
 Result<PlainStep> best_step(const RobustOptions& options, std::span<const BrakeParameters> brakes) {
   const double length_s = static_cast<double>(options.samples) * kPeriod_s;
   const ClosedLoop loop(options.nominal, options.limits.torque_Nm);
+  const RunScore score(options.noise, std::nullopt, loop, options.nominal, brakes);
   const auto keeps_limits = [&](const Reference& reference) {
     TrackedRun tracked;
     return std::all_of(brakes.begin(), brakes.end(), [&](const BrakeParameters& brake) {
@@ -381,7 +440,7 @@ Result<PlainStep> best_step(const RobustOptions& options, std::span<const BrakeP
         column->resize(options.samples);
       const Result<Reference> reference = build_reference(*run, options.nominal);
       if (!reference || !keeps_limits(*reference)) continue;
-      const RobustEvaluation evaluation = evaluate_reference(*reference, loop, brakes, options.noise);
+      const RobustEvaluation evaluation = evaluate_reference(*reference, loop, brakes, score);
       if (evaluation.expected_logdet < best_logdet) {
         best_logdet = evaluation.expected_logdet;
         best = {force_N, rise_s, std::move(*run)};
@@ -472,8 +531,8 @@ void take_first_that_holds(const RobustOptions& options, std::span<const Candida
     std::vector<double> block_torque_Nm = candidate.x;
     for (double& torque : block_torque_Nm) torque *= options.limits.torque_Nm;
     Run trajectory = response_to(block_torque_Nm, options.block_samples, options.nominal);
-    Result<RobustEvaluation> evaluation =
-        evaluate_robust(trajectory, options.nominal, others, options.noise, options.limits.torque_Nm);
+    Result<RobustEvaluation> evaluation = evaluate_robust(trajectory, options.nominal, others, options.noise,
+                                                          options.limits.torque_Nm, options.target);
     if (!evaluation || !std::isfinite(evaluation->expected_logdet) ||
         evaluation->force_max_N > options.limits.force_N ||
         evaluation->velocity_max_rad_s > options.limits.velocity_rad_s)
@@ -484,7 +543,7 @@ void take_first_that_holds(const RobustOptions& options, std::span<const Candida
     summary.block_torque_Nm = std::move(block_torque_Nm);
     summary.trajectory = std::move(trajectory);
     summary.evaluation = std::move(*evaluation);
-    summary.gain = gain_over(summary.step_evaluation, summary.evaluation);
+    summary.gain = gain_over(summary.step_evaluation, summary.evaluation, options.target);
     DesignOptions design;
     design.brake = options.nominal;
     design.samples = options.samples;
@@ -504,15 +563,16 @@ RobustSummary design_robust_experiment(const RobustOptions& options) {
   const std::vector<Candidate> found = search_experiments(options, summary);
   const std::vector<BrakeParameters> others =
       draw_prior(options.nominal, options.verify_brakes, ~options.seed);
-  const Result<PlainStep> step = best_step(options, others);
-  if (!step) {
-    summary.message = step.error().message;
+  const Result<PlainStep> baseline =
+      options.target ? PlainStep{0.0, 0.0, options.target->beside} : best_step(options, others);
+  if (!baseline) {
+    summary.message = baseline.error().message;
   } else if (found.empty()) {
     summary.message = "no start found an experiment that keeps the limits for all brakes of the prior";
   } else {
-    summary.step = *step;
-    summary.step_evaluation =
-        *evaluate_robust(step->trajectory, options.nominal, others, options.noise, options.limits.torque_Nm);
+    if (!options.target) summary.step = *baseline;
+    summary.step_evaluation = *evaluate_robust(baseline->trajectory, options.nominal, others, options.noise,
+                                               options.limits.torque_Nm, options.target);
     take_first_that_holds(options, found, others, summary);
   }
   if (options.progress && summary.found) options.progress(1.0, summary.evaluation.expected_logdet);

@@ -10,7 +10,6 @@
 #include "clampd/base/nan.hpp"
 #include "clampd/identify/validation.hpp"
 #include "clampd/statistics/distributions.hpp"
-#include "clampd/statistics/symmetric.hpp"
 #include "src/identify/uncertainty.hpp"
 
 namespace clampd {
@@ -30,18 +29,11 @@ constexpr double kUndetermined = 3.0;
 constexpr double kFewestDegrees = 4.0;
 constexpr double kManyDegrees = 1e6;
 
-/// Chance that the runs' own scores scatter as much as they do by the noise alone: a chi-square test of the
-/// one covariance against the other. 1 for a single run.
-double runs_agree_p(const Uncertainty& uncertainty, const Held& held, std::size_t runs) {
-  if (!uncertainty.covariance_over_runs.allFinite()) return 1.0;
-  ParameterMatrix expected = uncertainty.covariance;
-  for (int i = 0; i < kTheta; ++i)
-    if (held[static_cast<std::size_t>(i)]) expected(i, i) = 1.0;
-  const double free = static_cast<double>(std::count(held.begin(), held.end(), false));
-  const double degrees = static_cast<double>(runs - 1);
-  const double statistic =
-      degrees * statistics::SymmetricFactor(expected).solve_columns(uncertainty.covariance_over_runs).trace();
-  return statistics::chi_squared_p_value(statistic, degrees * free);
+/// Chance that the runs' own scores scatter as much as they do by the noise alone: a chi-square test of each
+/// against its covariance. 1 for a single run.
+double runs_agree_p(const Uncertainty& uncertainty, std::size_t runs) {
+  if (runs < 2 || !std::isfinite(uncertainty.score_squares) || !(uncertainty.score_degrees > 0.0)) return 1.0;
+  return statistics::chi_squared_p_value(uncertainty.score_squares, uncertainty.score_degrees);
 }
 
 /// Of the standard deviations, where part of their variance is the torque's noise, estimated from the same
@@ -246,7 +238,7 @@ void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& v
   add_curvature_bias(fit, variances, held, uncertainty);
   const std::size_t runs = fit.linear_runs().size();
   const bool is_scatter_known = runs >= identify::kFewestRunsForScatter;
-  estimate.runs_agree_p = runs_agree_p(uncertainty, options.held, runs);
+  estimate.runs_agree_p = runs_agree_p(uncertainty, runs);
   estimate.runs_differ = is_scatter_known && estimate.runs_agree_p < kRunsDiffer;
   estimate.degrees_of_freedom = estimate.runs_differ
                                     ? ParameterVector::Constant(static_cast<double>(runs - 1)).eval()

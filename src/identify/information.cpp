@@ -56,16 +56,10 @@ JointInformation joint_information(const BrakeParameters& parameters, const Brak
 
 JointInformation joint_information(const BrakeParameters& parameters, const BrakeState& initial,
                                    const Excitation& excitation, const NoiseLevels& noise) {
-  Run run;
-  run.torque_Nm.assign(excitation.torque_Nm.begin(), excitation.torque_Nm.end());
-  run.force_N.assign(excitation.size(), 0.0);
-  run.velocity_rad_s.assign(excitation.size(), 0.0);
-  run.time_s.assign(excitation.time_s.begin(), excitation.time_s.end());
-  for (std::size_t k = run.time_s.size(); k < excitation.size(); ++k)
-    run.time_s.push_back(excitation.dt_s * static_cast<double>(k));
   identify::LinearRun linear;
-  linear.resize(run.size());
-  if (!identify::linearise(run, parameters, initial, linear)) return JointInformation::Constant(kNaN);
+  linear.resize(excitation.size());
+  if (!identify::linearise(identify::run_without_readings(excitation), parameters, initial, linear))
+    return JointInformation::Constant(kNaN);
   identify::update_gains(identify::variances_of(noise), {}, linear);
   return identify::normal_equations(linear).topLeftCorner<kSensitivityColumns, kSensitivityColumns>();
 }

@@ -128,6 +128,17 @@ void LinearRun::resize(std::size_t size) {
   disturbances.resize(size);
 }
 
+Run run_without_readings(const Excitation& excitation) {
+  Run run;
+  run.torque_Nm.assign(excitation.torque_Nm.begin(), excitation.torque_Nm.end());
+  run.force_N.assign(excitation.size(), 0.0);
+  run.velocity_rad_s.assign(excitation.size(), 0.0);
+  run.time_s.assign(excitation.time_s.begin(), excitation.time_s.end());
+  for (std::size_t k = run.time_s.size(); k < excitation.size(); ++k)
+    run.time_s.push_back(excitation.dt_s * static_cast<double>(k));
+  return run;
+}
+
 bool linearise(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
                LinearRun& out) noexcept {
   return walk(

@@ -86,6 +86,9 @@ struct LinearRun {
   double log_determinant = 0.0;           ///< sum of log det S
 };
 
+/// A run with this torque whose readings are not known: what is left of it is minus the model's readings.
+Run run_without_readings(const Excitation& excitation);
+
 /// Linearises about the run's open-loop simulation. False where that leaves all bounds.
 bool linearise(const Run& run, const BrakeParameters& parameters, const BrakeState& initial,
                LinearRun& out) noexcept;

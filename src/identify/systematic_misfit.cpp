@@ -5,6 +5,7 @@
 #include <optional>
 #include <vector>
 
+#include "clampd/base/assert.hpp"
 #include "clampd/statistics/distributions.hpp"
 #include "clampd/statistics/symmetric.hpp"
 #include "src/identify/initial_state_prior.hpp"
@@ -111,12 +112,17 @@ double SystematicMisfit::moved_sd(const ParameterVector& sd_normalised) const {
   return covariance_normalised.diagonal().cwiseMax(0.0).cwiseSqrt().cwiseQuotient(sd_normalised).maxCoeff();
 }
 
-SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint) {
+SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint,
+                                   std::span<const std::uint8_t> motions) {
+  CLAMPD_ASSERT(motions.empty() || motions.size() == runs.size());
   SystematicMisfit misfit;
-  if (runs.size() < kFewestRepeats || !joint.converged() || !joint.effects.empty() ||
+  std::vector<std::size_t> alike;
+  for (std::size_t r = 0; r < runs.size(); ++r)
+    if (motions.empty() || motions[r] == motions[0]) alike.push_back(r);
+  if (alike.size() < kFewestRepeats || !joint.converged() || !joint.effects.empty() ||
       joint.initial_states.size() != runs.size() || !joint.parameters.theta.allFinite())
     return misfit;
-  if (std::any_of(runs.begin(), runs.end(), [&](const Run& run) { return run.size() != runs[0].size(); }))
+  if (std::any_of(alike.begin(), alike.end(), [&](std::size_t r) { return runs[r].size() != runs[0].size(); }))
     return misfit;
   Held held{};
   for (std::size_t i = 0; i < kParameterCount; ++i) {
@@ -127,15 +133,16 @@ SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& jo
                           joint.method == Method::PredictionError ? joint.noise_torque_Nm : 0.0};
   if (!within_bounds(joint.parameters.theta)) return misfit;
 
-  const auto repeats = static_cast<Eigen::Index>(runs.size());
+  const auto repeats = static_cast<Eigen::Index>(alike.size());
   const auto readings = static_cast<Eigen::Index>(2 * runs[0].size());
   Eigen::MatrixXd residuals(readings, repeats);
   Eigen::MatrixXd by_theta = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(kParameterCount), readings);
   Eigen::MatrixXd by_tare = Eigen::MatrixXd::Zero(2, readings);
-  for (std::size_t r = 0; r < runs.size(); ++r) {
+  for (Eigen::Index column = 0; column < repeats; ++column) {
+    const std::size_t r = alike[static_cast<std::size_t>(column)];
     const auto view = view_of(runs[r], joint.parameters, joint.initial_states[r], noise, held);
     if (!view) return misfit;
-    residuals.col(static_cast<Eigen::Index>(r)) = view->residual;
+    residuals.col(column) = view->residual;
     by_theta += view->by_theta / static_cast<double>(repeats);
     by_tare += view->by_tare / static_cast<double>(repeats);
   }

@@ -1,9 +1,12 @@
 #include "src/identify/uncertainty.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <random>
 #include <vector>
+
+#include "clampd/statistics/symmetric.hpp"
 
 namespace clampd::identify {
 
@@ -51,6 +54,20 @@ ParameterMatrix inverse_of(const ParameterMatrix& information, const Held& held)
   return inverse;
 }
 
+/// The square of a run's score over its covariance, in the directions that the run tells of.
+void add_score_squares(const ParameterVector& score, const ParameterMatrix& covariance, Uncertainty& result) {
+  constexpr double kTold = 1e-8;  // of a unit diagonal: what is smaller has no correct digit
+  const Eigen::VectorXd scale = statistics::deviations_of_diagonal(covariance);
+  const statistics::Spectrum spectrum = statistics::spectrum_of(statistics::scaled_by(covariance, scale));
+  if (!spectrum.ok) return;
+  const Eigen::VectorXd along = spectrum.vectors.transpose() * score.cwiseQuotient(scale);
+  for (Eigen::Index i = 0; i < along.size(); ++i) {
+    if (!(spectrum.values[i] > kTold)) continue;
+    result.score_squares += along[i] * along[i] / spectrum.values[i];
+    result.score_degrees += 1.0;
+  }
+}
+
 }  // namespace
 
 std::vector<ScoreMoments> score_moments_of(JointFit& fit) {
@@ -70,6 +87,7 @@ Uncertainty uncertainty_of(const JointFit& fit, std::span<const ScoreMoments> mo
   ParameterMatrix readings = ParameterMatrix::Zero();
   ParameterMatrix torque = ParameterMatrix::Zero();
   ParameterMatrix scatter = ParameterMatrix::Zero();
+  result.score_degrees = -static_cast<double>(std::count(held.begin(), held.end(), false));
   result.offset_sensitivity.setZero();
   for (std::size_t r = 0; r < moments.size(); ++r) {
     const Normal& normal = fit.normal(r);
@@ -78,11 +96,22 @@ Uncertainty uncertainty_of(const JointFit& fit, std::span<const ScoreMoments> mo
     const Eigen::Matrix<double, kUnknowns, kUnknowns> reading =
         (variances.force * moments[r].force + variances.velocity * moments[r].velocity)
             .topLeftCorner<kUnknowns, kUnknowns>();
-    readings += eliminate * reading * eliminate.transpose();
-    torque += variances.torque * eliminate * moments[r].torque.topLeftCorner<kUnknowns, kUnknowns>() *
-              eliminate.transpose();
-    const ParameterVector score = eliminate * normal.block<kUnknowns, 1>(0, kDataColumn);
+    const ParameterMatrix by_readings = eliminate * reading * eliminate.transpose();
+    const ParameterMatrix by_torque = variances.torque * eliminate *
+                                      moments[r].torque.topLeftCorner<kUnknowns, kUnknowns>() *
+                                      eliminate.transpose();
+    readings += by_readings;
+    torque += by_torque;
+    ParameterVector score = eliminate * normal.block<kUnknowns, 1>(0, kDataColumn);
     scatter += score * score.transpose();
+    ParameterMatrix of_run = by_readings + by_torque;
+    for (int i = 0; i < kTheta; ++i) {
+      if (!held[static_cast<std::size_t>(i)]) continue;
+      of_run.row(i).setZero();
+      of_run.col(i).setZero();
+      score[i] = 0.0;
+    }
+    add_score_squares(score, of_run, result);
     result.offset_sensitivity -= eliminate * moments[r].offsets;
   }
   result.offset_sensitivity = (inverse * result.offset_sensitivity).eval();

@@ -17,6 +17,10 @@ struct Uncertainty {
   ParameterMatrix covariance_exact_torque;  ///< the same without torque noise
   ParameterMatrix covariance_over_runs;     ///< from the scatter of the runs' scores; NaN for a single run
   OffsetSensitivity offset_sensitivity;
+  /// Of each run's score the square over its own covariance, summed, and in how many directions: chi-square where the
+  /// runs differ by their noise alone, the parameters that all share taken off. Whatever motions the runs are of.
+  double score_squares = 0.0;
+  double score_degrees = 0.0;
 };
 
 /// Of the estimate at the fit's last evaluated point, whose readings and torque have noise of these

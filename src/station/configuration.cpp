@@ -290,6 +290,7 @@ void read_repeats(TableReader& reader, const toml::table& table, CheckSettings& 
 void read_check(TableReader& reader, const toml::table& table, const std::string& folder, CheckSettings& c) {
   read_repeats(reader, table, c);
   reader.path("trajectory", c.trajectory, folder);
+  reader.paths("further_trajectories", c.further_trajectories, folder);
   reader.number("tare_s", c.tare_s, 0.05, 10.0);
   reader.number("approach_velocity_rad_s", c.approach_velocity_rad_s, 1.0, 100.0);
   reader.number("contact_force_N", c.contact_force_N, 10.0, 5'000.0);

@@ -75,7 +75,9 @@ std::vector<EffectEstimate> with_tare_sd(std::vector<EffectEstimate> effects, co
 /// estimate's covariance.
 std::optional<SystematicRecord> count_misfit(const Estimate& joint, const std::vector<RunRecord>& runs,
                                              ParameterVector& sd, ParameterMatrix& added) {
-  const SystematicMisfit misfit = systematic_misfit(runs_of(runs), joint);
+  std::vector<std::uint8_t> motions;
+  for (const RunRecord& run : runs) motions.push_back(run.trajectory);
+  const SystematicMisfit misfit = systematic_misfit(runs_of(runs), joint, motions);
   if (!misfit.can_tell) return std::nullopt;
   const ParameterVector nominal = nominal_parameters().cwiseAbs();
   const ParameterVector sd_normalised = sd.cwiseQuotient(nominal);

@@ -40,6 +40,7 @@ class RecipeReader {
     });
     in_table(reader, "check", [&](TableReader& check, const toml::table& table) {
       read_path(check, table, "trajectory", recipe.trajectory);
+      check.paths("further_trajectories", recipe.further_trajectories, folder_);
       read_path(check, table, "model", recipe.model);
       check.finish();
     });
@@ -185,6 +186,9 @@ StationConfiguration with_recipe(StationConfiguration configuration, const Recip
                                               std::pair(&recipe.trajectory, &configuration.check.trajectory),
                                               std::pair(&recipe.model, &configuration.check.model)})
     if (!of_recipe->empty()) *of_station = *of_recipe;
+  // Those of the station have been made for its own brakes, as its trajectory has.
+  if (recipe.further_trajectories || !recipe.trajectory.empty())
+    configuration.check.further_trajectories = recipe.further_trajectories;
   return configuration;
 }
 

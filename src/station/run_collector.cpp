@@ -76,6 +76,7 @@ std::optional<CollectedRun> RunCollector::consume(const Sample& sample) {
     }
     open_.emplace();
     open_->repeat = sample.repeat;
+    open_->trajectory = sample.trajectory;
     open_->run.name = name;
     open_start_ns_ = sample.brake_time_ns;
     tracking_squares_ = 0.0;

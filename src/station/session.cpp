@@ -111,9 +111,11 @@ CheckSession::CheckSession(const StationConfiguration& configuration, const Limi
       sheet_(context.sheet),
       started_utc_ns_(context.started_utc_ns),
       repeats_(planned_repeats(request, configuration.check)),
-      stopping_(repeats_.automatic
-                    ? std::optional<StoppingRule>(std::in_place, limits.guard_band_k, repeats_.most)
-                    : std::nullopt),
+      trajectories_(context.trajectories),
+      trajectories_sha256_(context.trajectories_sha256),
+      stopping_(repeats_.automatic ? std::optional<StoppingRule>(std::in_place, limits.guard_band_k,
+                                                                 repeats_.most, trajectories_.size() > 1)
+                                   : std::nullopt),
       collector_(context.trajectory_rows),
       worker_(std::move(estimator), estimator_options(configuration), repeats_.most, mode, looks()),
       diagnoser_(std::move(diagnoser)) {
@@ -144,17 +146,21 @@ CheckSession::CheckSession(const StationConfiguration& configuration, const Limi
 Looks CheckSession::looks() {
   if (!stopping_) return {};
   return {StoppingRule::kFirstLook, [this](const std::vector<RunRecord>& runs, const Estimate& joint) {
-            return are_enough(runs, joint);
+            return look_at(runs, joint);
           }};
 }
 
 /// What the verdict would be if the check ended here and the station did its part. The tare was over before
 /// the first run, so that whoever identifies the runs may read it.
-bool CheckSession::are_enough(const std::vector<RunRecord>& runs, const Estimate& joint) const {
+Look CheckSession::look_at(const std::vector<RunRecord>& runs, const Estimate& joint) const {
   CheckFacts facts;
   facts.tracking_rms_N = tracking_rms_N(runs);
   const std::optional<SystematicRecord> systematic = add_estimate(joint, runs, reading(), facts);
-  return StoppingRule::is_enough(judge(facts, limits_, configuration_.validity), joint, systematic);
+  const Judgement judgement = judge(facts, limits_, configuration_.validity);
+  if (StoppingRule::is_enough(judgement, joint, systematic)) return {.is_enough = true};
+  const std::span<const Characteristic> sheet =
+      sheet_ ? std::span<const Characteristic>(sheet_->characteristics) : std::span<const Characteristic>();
+  return {false, next_trajectory_for(judgement, joint, runs, trajectories_, sheet, configuration_.model)};
 }
 
 void CheckSession::record_stopping(const CheckFacts& facts, const Judgement& judgement, const Estimate& joint,
@@ -168,7 +174,10 @@ void CheckSession::record_stopping(const CheckFacts& facts, const Judgement& jud
   } else if (record.runs.size() == repeats_.most && !was_ended) {
     reason = stopping_->why_most(judgement, joint, record.systematic);
   }
-  record.stopping = StoppingRecord{repeats_.most, stopping_->coverage_factor(), std::move(reason)};
+  record.stopping = StoppingRecord{repeats_.most, stopping_->coverage_factor(), std::move(reason), {}, {}};
+  if (trajectories_.size() < 2) return;
+  record.stopping->trajectories = trajectories_sha256_;
+  for (const RunRecord& run : record.runs) record.stopping->followed.push_back(run.trajectory);
 }
 
 void CheckSession::consume(const Sample& sample) {

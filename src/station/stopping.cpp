@@ -2,12 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/record/check_record.hpp"
+#include "clampd/sheet/evaluation.hpp"
 #include "clampd/statistics/distributions.hpp"
 #include "clampd/statistics/sequential.hpp"
 
@@ -25,11 +27,26 @@ bool is_fit_in_doubt(const std::optional<SystematicRecord>& systematic) {
 
 }  // namespace
 
-StoppingRule::StoppingRule(double guard_band_k, std::uint32_t most)
+namespace {
+
+/// At each look, in any unit. Where runs are chosen, evenly from look to look up to the most: of all schedules
+/// with so many looks and that ratio, the one whose looks hang together least.
+std::vector<double> information_at_looks(std::uint32_t most, bool chooses) {
+  constexpr double kFirst = StoppingRule::kFirstLook;
+  std::vector<double> information;
+  for (std::uint32_t runs = StoppingRule::kFirstLook; runs <= most; ++runs) {
+    const double share = most > StoppingRule::kFirstLook ? (runs - kFirst) / (most - kFirst) : 0.0;
+    information.push_back(chooses ? std::pow(StoppingRule::kMostInformation, share) : runs);
+  }
+  return information;
+}
+
+}  // namespace
+
+StoppingRule::StoppingRule(double guard_band_k, std::uint32_t most, bool chooses)
     : most_(most),
       coverage_factor_(statistics::repeated_look_factor(statistics::normal_upper_tail(guard_band_k),
-                                                        static_cast<int>(kFirstLook),
-                                                        static_cast<int>(most))) {
+                                                        information_at_looks(most, chooses))) {
   CLAMPD_ASSERT(most >= kFirstLook);
 }
 
@@ -81,6 +98,52 @@ std::string StoppingRule::why_most(const Judgement& judgement, const Estimate& j
   else if (is_fit_in_doubt(systematic))
     why = "; whether the model fits is in doubt";
   return fmt::format("the most that was allowed: {}{}", most_, why);
+}
+
+namespace {
+
+bool is_marginal(const CharacteristicRecord& line) {
+  return line.verdict == ParameterVerdict::Marginal;
+}
+
+/// Sum of the logarithms of the standard deviations, under this covariance, of what is in doubt. NaN where
+/// one is not known.
+double log_deviations(const ParameterMatrix& covariance, const Judgement& judgement, const Estimate& joint,
+                      std::span<const Characteristic> sheet, const BrakeParameters& nominal) {
+  double sum = 0.0;
+  for (const ParameterRecord& parameter : judgement.parameters) {
+    const auto index = find_parameter(parameter.name);
+    if (parameter.verdict != ParameterVerdict::Marginal || !index) continue;
+    const auto k = static_cast<Eigen::Index>(*index);
+    sum += 0.5 * std::log(covariance(k, k));
+  }
+  if (std::none_of(judgement.characteristics.begin(), judgement.characteristics.end(), is_marginal)) return sum;
+  const std::vector<CharacteristicEstimate> lines =
+      evaluate(sheet, Posterior{joint.parameters, covariance, ""}, nominal);
+  for (std::size_t i = 0; i < lines.size(); ++i)
+    if (is_marginal(judgement.characteristics[i])) sum += std::log(lines[i].sd);
+  return sum;
+}
+
+}  // namespace
+
+std::uint8_t next_trajectory_for(const Judgement& judgement, const Estimate& joint,
+                                 const std::vector<RunRecord>& runs, const TrajectorySet& trajectories,
+                                 std::span<const Characteristic> sheet, const BrakeParameters& nominal) {
+  if (trajectories.size() < 2 || in_doubt(judgement).empty() || !joint.converged()) return 0;
+  std::vector<double> driven(trajectories.size(), 0.0);
+  for (const RunRecord& run : runs)
+    if (run.trajectory < driven.size()) driven[run.trajectory] += 1.0;
+  const NextRunValue value = trajectories.value_of_next(joint, driven);
+  std::uint8_t best = 0;
+  double least = std::numeric_limits<double>::infinity();
+  for (std::size_t k = 0; k < value.after.size(); ++k) {
+    const double sum = log_deviations(value.after[k], judgement, joint, sheet, nominal);
+    if (!(sum < least)) continue;
+    best = static_cast<std::uint8_t>(k);
+    least = sum;
+  }
+  return best;
 }
 
 }  // namespace clampd

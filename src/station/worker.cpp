@@ -53,6 +53,7 @@ IdentificationWorker::~IdentificationWorker() {
 RunRecord IdentificationWorker::identify(CollectedRun collected) const {
   const Estimate summary = estimator_(std::span<const Run>(&collected.run, 1), options_);
   RunRecord record;
+  record.trajectory = collected.trajectory;
   record.tracking_rms_N = collected.tracking_rms_N;
   record.tracking_max_N = collected.tracking_max_N;
   record.fit_force_rms_N = summary.force_rms_N;
@@ -72,10 +73,12 @@ Estimate IdentificationWorker::fit_jointly() const {
 }
 
 void IdentificationWorker::look() {
-  if (!looks_.are_enough || records_.size() < looks_.first) return;
+  if (!looks_.look || records_.size() < looks_.first) return;
   joint_ = fit_jointly();
   joint_runs_ = records_.size();
-  if (looks_.are_enough(records_, joint_)) has_enough_.store(true, std::memory_order_release);
+  const Look look = looks_.look(records_, joint_);
+  next_trajectory_.store(look.next_trajectory, std::memory_order_relaxed);
+  if (look.is_enough) has_enough_.store(true, std::memory_order_release);
 }
 
 bool IdentificationWorker::submit(CollectedRun run) {

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstddef>
 #include <numbers>
+#include <span>
 #include <vector>
 
 #include "clampd/base/assert.hpp"
@@ -41,32 +42,35 @@ struct Paths {
   }
 };
 
-/// f after one more share of information, on the nodes of `next`.
-void propagate(const Paths& paths, Paths& next) {
+/// f after one more share of information, of this standard deviation, on the nodes of `next`.
+void propagate(const Paths& paths, double sd, Paths& next) {
   std::size_t first = 0;
   for (std::size_t i = 0; i < next.x.size(); ++i) {
-    while (first < paths.x.size() && paths.x[first] < next.x[i] - kFar) ++first;
-    for (std::size_t j = first; j < paths.x.size() && paths.x[j] <= next.x[i] + kFar; ++j)
-      next.f[i] += paths.weight[j] * paths.f[j] * density(next.x[i] - paths.x[j]);
+    while (first < paths.x.size() && paths.x[first] < next.x[i] - kFar * sd) ++first;
+    for (std::size_t j = first; j < paths.x.size() && paths.x[j] <= next.x[i] + kFar * sd; ++j)
+      next.f[i] += paths.weight[j] * paths.f[j] * density((next.x[i] - paths.x[j]) / sd) / sd;
   }
 }
 
-/// That a sum of independent standard normal shares ever exceeds factor sqrt(n), at a look after n of them.
-double crossing_probability(double factor, int first, int most) {
-  const auto bound = [factor](int n) { return factor * std::sqrt(n); };
-  const auto paths_below = [&](int n) {
-    return Paths(std::min(-kFar * std::sqrt(n), bound(n) - 2.0), bound(n));
+/// That a sum of independent normal shares, with the variance `information` at each look, ever exceeds factor
+/// standard deviations there.
+double crossing_probability(double factor, std::span<const double> information) {
+  const auto paths_below = [factor](double variance) {
+    const double bound = factor * std::sqrt(variance);
+    return Paths(std::min(-kFar * std::sqrt(variance), bound - 2.0), bound);
   };
   double crossed = normal_upper_tail(factor);
-  Paths paths = paths_below(first);
-  const double sd = std::sqrt(first);
+  Paths paths = paths_below(information.front());
+  const double sd = std::sqrt(information.front());
   for (std::size_t i = 0; i < paths.x.size(); ++i) paths.f[i] = density(paths.x[i] / sd) / sd;
-  for (int n = first + 1; n <= most; ++n) {
+  for (std::size_t look = 1; look < information.size(); ++look) {
+    const double share_sd = std::sqrt(information[look] - information[look - 1]);
+    const double bound = factor * std::sqrt(information[look]);
     for (std::size_t i = 0; i < paths.x.size(); ++i)
-      crossed += paths.weight[i] * paths.f[i] * normal_upper_tail(bound(n) - paths.x[i]);
-    if (n == most) break;
-    Paths next = paths_below(n);
-    propagate(paths, next);
+      crossed += paths.weight[i] * paths.f[i] * normal_upper_tail((bound - paths.x[i]) / share_sd);
+    if (look + 1 == information.size()) break;
+    Paths next = paths_below(information[look]);
+    propagate(paths, share_sd, next);
     paths = std::move(next);
   }
   return crossed;
@@ -74,17 +78,31 @@ double crossing_probability(double factor, int first, int most) {
 
 }  // namespace
 
-double repeated_look_factor(double probability, int first, int most) {
-  CLAMPD_ASSERT(probability > 0.0 && probability < 1.0 && first >= 1 && most >= first);
+double repeated_look_factor(double probability, std::span<const double> information) {
+  CLAMPD_ASSERT(probability > 0.0 && probability < 1.0 && !information.empty() && information[0] > 0.0);
+  // The nodes are dense enough for shares of one and more.
+  double least = information[0];
+  for (std::size_t look = 1; look < information.size(); ++look)
+    least = std::min(least, information[look] - information[look - 1]);
+  CLAMPD_ASSERT(least > 0.0);
+  std::vector<double> scaled(information.begin(), information.end());
+  for (double& value : scaled) value /= least;
   double low = -normal_quantile(probability);
-  if (first == most) return low;
-  double high = -normal_quantile(probability / (most - first + 1));  // Bonferroni
+  if (scaled.size() == 1) return low;
+  double high = -normal_quantile(probability / static_cast<double>(scaled.size()));  // Bonferroni
   constexpr double kAccuracy = 2e-4;
   while (high - low > kAccuracy) {
     const double middle = 0.5 * (low + high);
-    (crossing_probability(middle, first, most) > probability ? low : high) = middle;
+    (crossing_probability(middle, scaled) > probability ? low : high) = middle;
   }
   return high;
+}
+
+double repeated_look_factor(double probability, int first, int most) {
+  CLAMPD_ASSERT(first >= 1 && most >= first);
+  std::vector<double> information;
+  for (int n = first; n <= most; ++n) information.push_back(n);
+  return repeated_look_factor(probability, information);
 }
 
 double with_estimated_deviation(double factor, double degrees) {

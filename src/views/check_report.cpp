@@ -160,11 +160,11 @@ Figure limits_figure(const CheckRecord& check, double guard_band_k) {
   return figure;
 }
 
-/// The repeat whose tracking is the median one.
+/// The repeat of the check's own trajectory whose tracking is the median one.
 const RunRecord* typical_run(const CheckRecord& check) {
   std::vector<const RunRecord*> runs;
   for (const RunRecord& run : check.runs)
-    if (run.run.size() > 1) runs.push_back(&run);
+    if (run.run.size() > 1 && run.trajectory == 0) runs.push_back(&run);
   if (runs.empty()) return nullptr;
   std::sort(runs.begin(), runs.end(),
             [](const RunRecord* a, const RunRecord* b) { return a->tracking_rms_N < b->tracking_rms_N; });

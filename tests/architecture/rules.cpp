@@ -242,7 +242,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"sheet", {"experiment", "control", "identify", "brake", "parameters", "record", "statistics", "base"}},
       {"diagnose", {"experiment", "identify", "brake", "parameters", "record", "statistics", "base"}},
       {"drive", {"diagnose", "statistics", "record", "base"}},
-      {"station", {"diagnose", "sheet", "identify", "brake", "parameters", "ports", "record", "statistics", "base"}},
+      {"station", {"diagnose", "sheet", "experiment", "identify", "brake", "parameters", "ports", "record", "statistics", "base"}},
       {"archive", {"record", "base"}},
       {"publish", {"archive", "record", "base"}},
       {"line", {"archive", "station", "record", "statistics", "base"}},

@@ -277,8 +277,10 @@ TEST_F(Store, KeepsWhatSchema10SealedVerifiable) {
              "user_version = 10");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
-  later.stopping = StoppingRecord{21, 2.608, "every limit decided after 4 runs"};
+  later.stopping = StoppingRecord{21, 2.608, "every limit decided after 4 runs", {"aa", "bb"}, {0, 1}};
+  ASSERT_GE(later.runs.size(), 2U);
   ASSERT_TRUE(store.save(later));
+  EXPECT_EQ(store.load(later.id)->runs[1].trajectory, 1);
   EXPECT_EQ(store.load(later.id)->stopping, later.stopping);
   EXPECT_FALSE(store.load(id)->stopping);
   EXPECT_THAT(store.verify()->damage, ::testing::IsEmpty());

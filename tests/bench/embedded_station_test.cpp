@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdlib>
+#include <fstream>
 #include <optional>
 #include <span>
 #include <string>
@@ -24,7 +25,9 @@
 namespace clampd::bench {
 namespace {
 
+using ::testing::Each;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 
 TEST(EmbeddedStation, TwentyRepeatsWithinThirtySecondsOfBenchTime) {
   const CheckRecord record = check(plant(1), 20);
@@ -435,6 +438,43 @@ TEST(EmbeddedStation, TakesAsManyRepeatsAsTheBrakeNeeds) {
     EXPECT_EQ(record->stopping.value().reason, "every limit decided after 4 runs");
     EXPECT_LT(record->duration_s, 4.0);
   }
+}
+
+TEST(EmbeddedStation, FurtherRunsFollowTheTrajectoryThatTellsMostOfWhatIsInDoubt) {
+  sim::PlantConfiguration brake = plant(5);
+  brake.brake.theta[TC] = 0.148;  // two standard deviations of four runs below its upper limit
+  const auto check = [&brake](const PreparedStation& station) {
+    return EmbeddedStation(station, brake).run_check({.serial = "A", .repeats_auto = true}, nullptr, nullptr).value();
+  };
+  const CheckRecord record = check(prepared());
+  EXPECT_EQ(record.verdict, Verdict::Pass) << record.reason;
+  const StoppingRecord& stopping = record.stopping.value();
+  ASSERT_EQ(stopping.trajectories.size(), 3U);
+  EXPECT_EQ(stopping.trajectories.front(), record.trajectory_sha256);
+  ASSERT_EQ(stopping.followed.size(), record.runs.size());
+  EXPECT_THAT(std::vector(stopping.followed.begin(), stopping.followed.begin() + 5), Each(0))
+      << "the first look is at four runs, while the fifth is driven";
+  EXPECT_EQ(stopping.followed.at(5), 1) << "closing slowly shows the sliding friction";
+
+  StationConfiguration configuration;
+  configuration.check.further_trajectories.emplace();
+  const CheckRecord without = check(prepare_station(configuration).value());
+  EXPECT_THAT(without.stopping->followed, IsEmpty()) << "there was no choice";
+  EXPECT_LT(record.runs.size(), without.runs.size());
+}
+
+TEST(EmbeddedStation, RefusesFurtherTrajectoriesOfAnotherLength) {
+  StationConfiguration configuration;
+  clampd::Run shorter = parse_run(std::string(kBuiltinTrajectory), "trajectory.csv")->run;
+  for (auto* column : {&shorter.time_s, &shorter.torque_Nm, &shorter.velocity_rad_s, &shorter.force_N,
+                       &shorter.position_rad})
+    column->resize(200);
+  const std::string file = testing::TempDir() + "/further-short.csv";
+  std::ofstream(file) << format_run(shorter);
+  configuration.check.further_trajectories = {file};
+  const Result<PreparedStation> station = prepare_station(configuration);
+  ASSERT_FALSE(station);
+  EXPECT_THAT(station.error().message, HasSubstr("as many rows as the check's own, 300, not 200"));
 }
 
 TEST(EmbeddedStation, RefusesARequestBeforeAnythingMoves) {

@@ -173,7 +173,7 @@ TEST_F(StationWithRecipes, DrivesTheTrajectoryOfTheRecipe) {
   bench.reach(StationState::Idle);
   const auto rows_of = [&](const CheckRequest& asked) {
     EXPECT_TRUE(bench.conductor.begin(asked, {bench.now_ns, bench.now_ns}));
-    const std::size_t rows = bench.conductor.reference().rows.size();
+    const std::size_t rows = bench.conductor.plan().reference.rows.size();
     const CheckRecord record = bench.finish();
     EXPECT_EQ(record.verdict, Verdict::Pass) << record.reason;
     EXPECT_EQ(record.runs.at(0).run.size(), rows);

@@ -53,6 +53,7 @@ class Campaign {
   bench::PreparedStation prepare() const {
     StationConfiguration configuration;
     configuration.check.repeats_most = options_.most;
+    if (!options_.chooses) configuration.check.further_trajectories.emplace();
     configuration.check.diagnose =
         false;  // of the cause; it changes no verdict by limits but for the station's own faults
     return bench::prepare_station(configuration).value();

@@ -21,6 +21,7 @@ struct RepeatsCampaignOptions {
   double beyond_share = 0.05;  ///< of the brakes: further beyond a limit than that
   double noise = 1.0;          ///< of the sensors, in those of the shipped brake
   std::uint32_t most = 21;
+  bool chooses = true;  ///< a run follows the trajectory that tells most about what is in doubt
   int threads = 1;
   std::string effect;  ///< that the model lacks, in every brake, as "friction-asymmetry=0.01"; empty: none
   int fixed_every =

@@ -26,6 +26,8 @@ int main(int argc, char** argv) {
       options.noise = std::atof(value);
     else if (value != nullptr && name == "--most")
       options.most = static_cast<std::uint32_t>(std::atoi(value));
+    else if (value != nullptr && name == "--choice")
+      options.chooses = std::atoi(value) != 0;
     else if (value != nullptr && name == "--threads")
       options.threads = std::atoi(value);
     else if (value != nullptr && name == "--effect")
@@ -35,7 +37,7 @@ int main(int argc, char** argv) {
     else {
       std::cerr << "usage: repeats_campaign [--brakes 1000] [--seed 1] [--near 8.944 (sd of 20 repeats)] "
                    "[--share 0.1] "
-                   "[--beyond 0.05] [--noise 1] [--most 21] [--threads 1] [--effect NAME=VALUE] "
+                   "[--beyond 0.05] [--noise 1] [--most 21] [--choice 1] [--threads 1] [--effect NAME=VALUE] "
                    "[--fixed-every 20]\n";
       return 2;
     }

@@ -1,6 +1,10 @@
 #include "clampd/experiment/robust_design.hpp"
 
 #include <cmath>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -100,6 +104,40 @@ TEST(RobustDesign, SearchKeepsItsLimitsAndDoesNotDependOnThreads) {
   EXPECT_LE(one.evaluation.velocity_max_rad_s, options.limits.velocity_rad_s);
   EXPECT_LE(std::abs(one.trajectory.velocity_rad_s.back()), options.limits.end_velocity_rad_s + 0.1);
   EXPECT_TRUE(build_reference(one.trajectory, options.nominal));
+}
+
+RobustTarget for_parameters(std::vector<Parameter> parameters) {
+  return {std::move(parameters), response_to(kept_design(), 20, {})};
+}
+
+/// The trajectories that ship beside the check's own, for what they have been designed for.
+TEST(RobustDesign, ShippedFurtherTrajectoriesTellMoreThanMoreRunsOfTheChecksOwn) {
+  const std::vector<BrakeParameters> brakes = draw_prior({}, 50, 23);
+  const NoiseLevels noise = RobustOptions{}.noise;
+  for (const auto& [name, parameters, at_least] :
+       {std::tuple("sliding", std::vector{TC, Tv}, 4.0), std::tuple("breakaway", std::vector{Ts0, mus}, 6.0)}) {
+    const RobustTarget target = for_parameters(parameters);
+    const clampd::Run trajectory =
+        read_run(std::string(CLAMPD_SOURCE_DIR) + "/configs/trajectory-" + name + ".csv").value().run;
+    const RobustEvaluation design = evaluate_robust(trajectory, {}, brakes, noise, 3.0, target).value();
+    const RobustEvaluation more = evaluate_robust(target.beside, {}, brakes, noise, 3.0, target).value();
+    EXPECT_GT(gain_over(more, design, target).mean, at_least) << name;
+    EXPECT_GT(gain_over(more, design, target).worst_decile, 2.0) << name;
+    EXPECT_LT(design.stop_force_max_N, 12e3) << "gentle, whatever the brake";
+  }
+}
+
+TEST(RobustDesign, SearchesForSomeParameters) {
+  RobustOptions options;
+  options.target = for_parameters({TC});
+  options.starts = 3;
+  options.search_brakes = 4;
+  options.verify_brakes = 10;
+  const RobustSummary summary = design_robust_experiment(options);
+  ASSERT_TRUE(summary.found) << summary.message;
+  EXPECT_GT(summary.gain.mean, 1.5) << "over four runs more of the check's own";
+  options.target->parameters.clear();
+  EXPECT_FALSE(options.validate());
 }
 
 TEST(RobustDesign, SaysWhenNothingIsPossible) {

@@ -149,6 +149,25 @@ TEST(ControlCore, RunsAreEnoughForTheCheckThatTheyWereEnoughForAndForNoOther) {
   EXPECT_EQ(ToySequence::concluded, 0) << "what was said of the last check says nothing of this one";
 }
 
+TEST(ControlCore, ATrajectoryIsChosenForOneCheckAndForNoOther) {
+  ToySequence::reset();
+  ToyStation station;
+  station.ticks(10);
+  station.start();
+  station.ticks(20);
+  EXPECT_EQ(ToySequence::followed, -1);
+  const std::uint64_t check = station.core.status().checks_finished + 1;
+  station.core.requests().next_trajectory = check * RequestBoard::kTrajectories + 2;
+  station.ticks(2);
+  EXPECT_EQ(ToySequence::followed, 2);
+  station.ticks(400);
+  ASSERT_EQ(station.core.status().checks_finished, 1u);
+  ToySequence::reset();
+  station.start();
+  station.ticks(50);
+  EXPECT_EQ(ToySequence::followed, -1) << "what was said of the last check says nothing of this one";
+}
+
 TEST(ControlCore, EveryCauseStopsTheDriveAndIsRecoveredFrom) {
   for (const Injection& injection : kInjections) {
     expect_stop_and_recovery(injection, StationState::Idle);

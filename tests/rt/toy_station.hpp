@@ -72,12 +72,14 @@ class ToySequence {
   static inline FaultCause fault = FaultCause::None;
   static inline int abandoned = 0;
   static inline int concluded = 0;  ///< samples for which it was told so
+  static inline int followed = -1;  ///< the trajectory that it was last told; -1: none
   static inline int steps_after_end = 0;
   static void reset() {
     torque_Nm = kTorque_Nm;
     fault = FaultCause::None;
     abandoned = 0;
     concluded = 0;
+    followed = -1;
     steps_after_end = 0;
   }
 
@@ -105,6 +107,7 @@ class ToySequence {
     return output;
   }
   void conclude() noexcept { ++concluded; }
+  void follow(std::uint8_t trajectory) noexcept { followed = trajectory; }
   void abandon() noexcept {
     plan_ = nullptr;
     ++abandoned;

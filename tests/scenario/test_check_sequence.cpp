@@ -101,6 +101,32 @@ TEST_F(CheckSequenceTest, ConcludedBeforeItsFirstRunItStillDrivesOne) {
   EXPECT_EQ(rows, static_cast<int>(plan_.reference.rows.size()));
 }
 
+TEST_F(CheckSequenceTest, FollowsAnotherTrajectoryFromTheNextRunOn) {
+  plan_.repeats = 4;
+  plan_.further = {build_reference(read_run(scenario::config("trajectory-sliding.csv")).value().run, {}).value(),
+                   build_reference(read_run(scenario::config("trajectory-breakaway.csv")).value().run, {}).value()};
+  sequence_.start(&plan_);
+  sequence_.follow(2);  // not the first run, which shows the stiffness
+  sim::SimulatedBrake brake(scenario::shipped_plant());
+  std::vector<int> followed;
+  double squares_N2 = 0.0;
+  const SequenceOutput end = run(brake, [&](const SequenceOutput& output) {
+    if (output.trajectory_index < 0) return;
+    if (output.trajectory_index == 0) followed.push_back(output.trajectory);
+    ASSERT_EQ(output.trajectory, followed.back()) << "never within a run";
+    const Reference& reference =
+        output.trajectory == 0 ? plan_.reference : plan_.further[output.trajectory - 1u];
+    ASSERT_EQ(output.force_reference_N, reference.rows[static_cast<std::size_t>(output.trajectory_index)].force_N);
+    squares_N2 += std::pow(brake.truth().force_N - output.force_reference_N, 2);
+    if (output.repeat == 1) sequence_.follow(1);
+    if (output.repeat == 2) sequence_.follow(7);
+  });
+  EXPECT_EQ(end.fault, FaultCause::None) << "a gentle run says nothing of the stiffness";
+  EXPECT_TRUE(sequence_.done());
+  EXPECT_EQ(followed, (std::vector<int>{0, 2, 1, 0})) << "one that there is not counts as the plan's own";
+  EXPECT_LT(std::sqrt(squares_N2 / (4.0 * static_cast<double>(plan_.reference.rows.size()))), 300.0);
+}
+
 TEST_F(CheckSequenceTest, RunsAreWholeConsecutiveAndStartWithTheFirstRowsTorque) {
   sim::PlantConfiguration plant = scenario::shipped_plant();
   plant.sensors = {};  // so that the readings are the truth

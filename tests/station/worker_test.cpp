@@ -84,7 +84,9 @@ TEST_P(Worker, LooksAtTheRunsSoFarAndTakesNoneOnceTheyAreEnough) {
   IdentificationWorker worker(mean_of_forces, {}, 9, GetParam(),
                               {2, [&looked](const std::vector<RunRecord>& runs, const Estimate& joint) {
                                  looked.push_back(runs.size());
-                                 return joint.parameters.theta[k2] >= 2.0;  // the mean of 1, 2, 3
+                                 // The mean of 1, 2, 3.
+                                 return Look{joint.parameters.theta[k2] >= 2.0,
+                                             static_cast<std::uint8_t>(10 + runs.size())};
                                }});
   for (int i = 1; i <= 3; ++i) {
     ASSERT_TRUE(worker.submit(run_of(i)));
@@ -92,6 +94,7 @@ TEST_P(Worker, LooksAtTheRunsSoFarAndTakesNoneOnceTheyAreEnough) {
     EXPECT_TRUE(i == 3 || !worker.has_enough());
   }
   ASSERT_TRUE(support::eventually([&] { return worker.has_enough(); }));
+  EXPECT_EQ(worker.next_trajectory(), 13) << "that the last look asked for";
   EXPECT_FALSE(worker.submit(run_of(99))) << "it would move the estimate that was enough";
   const auto outcome = worker.finish();
   EXPECT_EQ(outcome.runs.size(), 3u);
@@ -137,7 +140,7 @@ TEST(BackgroundWorker, LeavesOutALookWhileRunsWait) {
   IdentificationWorker worker(slow, {}, 5, WorkerMode::Background,
                               {1, [&looked](const std::vector<RunRecord>& runs, const Estimate&) {
                                  looked.push_back(runs.size());
-                                 return false;
+                                 return Look{};
                                }});
   ASSERT_TRUE(worker.submit(run_of(1)));
   started.acquire();

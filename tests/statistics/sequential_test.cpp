@@ -57,6 +57,31 @@ TEST(RepeatedLooks, HoldsItsProbabilityInSimulation) {
   EXPECT_NEAR(static_cast<double>(crossed) / kPaths, kProbability, 4.0 * sd);
 }
 
+/// Shares of very different size, as of runs that are chosen for what is in doubt.
+TEST(RepeatedLooks, HoldsItsProbabilityForUnevenShares) {
+  constexpr int kPaths = 200'000;
+  constexpr double kProbability = 0.0227501;
+  const std::vector<double> information{4.0, 5.0, 6.0, 20.0, 34.0, 48.0, 49.0, 300.0};
+  const double factor = repeated_look_factor(kProbability, information);
+  std::mt19937_64 random(2);
+  std::normal_distribution<double> normal;
+  int crossed = 0;
+  for (int path = 0; path < kPaths; ++path) {
+    double sum = 0.0, before = 0.0;
+    bool above = false;
+    for (const double now : information) {
+      sum += std::sqrt(now - before) * normal(random);
+      before = now;
+      above = above || sum > factor * std::sqrt(now);
+    }
+    crossed += above;
+  }
+  EXPECT_NEAR(static_cast<double>(crossed) / kPaths, kProbability, 4.0 * std::sqrt(kProbability / kPaths));
+  EXPECT_NEAR(factor, repeated_look_factor(kProbability, std::vector{40.0, 50.0, 60.0, 200.0, 340.0, 480.0, 490.0, 3000.0}),
+              1e-9)
+      << "the unit does not matter";
+}
+
 TEST(RepeatedLooks, AnEstimatedDeviationAsksForStudentsQuantile) {
   EXPECT_EQ(with_estimated_deviation(2.6, std::numeric_limits<double>::infinity()), 2.6);
   EXPECT_NEAR(with_estimated_deviation(1.959964, 5.0), student_t_upper_quantile(0.025, 5.0), 1e-4);

@@ -5,6 +5,7 @@
 #include <memory>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include "clampd/base/json.hpp"
@@ -31,9 +32,21 @@ struct DesignCommandOptions {
   RobustOptions robust;
   std::size_t starts = 0;  ///< 0: the objective's own default
   std::string parameters;
+  std::string beside;
+  std::vector<std::string> wanted;
   std::string json;
   std::string trajectory;
 };
+
+/// The robust design at the parameters of --for, if there are any.
+Result<void> aim(DesignCommandOptions& options) {
+  if (options.beside.empty()) return {};
+  return read_run(options.beside).map([&](LoadedRun loaded) {
+    RobustTarget& target = options.robust.target.emplace();
+    target.beside = std::move(loaded.run);
+    for (const std::string& name : options.wanted) target.parameters.push_back(static_cast<Parameter>(*find_parameter(name)));
+  });
+}
 
 Result<void> prepare(DesignCommandOptions& options) {
   DesignOptions& design = options.design;
@@ -69,8 +82,11 @@ Result<void> prepare(DesignCommandOptions& options) {
         std::min(robust.limits.end_velocity_rad_s, design.limits.end_velocity_rad_s);
     robust.seed = design.seed;
     robust.threads = design.threads;
+    if (const Result<void> aimed = aim(options); !aimed) return aimed;
     if (const Result<void> valid = robust.validate(); !valid) return valid;
   }
+  if (options.objective != kRobust && !options.beside.empty())
+    return failure("--for and --beside are for a robust design: add --objective robust");
   for (const std::string* path : {&options.json, &options.trajectory}) {
     if (path->empty()) continue;
     if (const Result<void> writable = cli::check_writable(*path); !writable) return writable;
@@ -109,6 +125,12 @@ nlohmann::ordered_json design_json(const DesignOptions& design, const DesignSumm
             {"velocity_difference_rad_s", certification.velocity_difference_rad_s}}}};
 }
 
+std::vector<std::string> names_of(const std::vector<Parameter>& parameters) {
+  std::vector<std::string> names;
+  for (const Parameter parameter : parameters) names.emplace_back(kParameterTable[parameter].name);
+  return names;
+}
+
 nlohmann::ordered_json robust_json(const RobustOptions& options, const RobustSummary& summary) {
   const RobustEvaluation& evaluation = summary.evaluation;
   nlohmann::ordered_json ranges = nlohmann::ordered_json::array();
@@ -119,7 +141,8 @@ nlohmann::ordered_json robust_json(const RobustOptions& options, const RobustSum
                       {"lower_normalised", std::min(one, other)},
                       {"upper_normalised", std::max(one, other)}});
   }
-  return {{"schema", "clampd.design/1"},
+  nlohmann::ordered_json document{
+          {"schema", "clampd.design/1"},
           {"duration_s", static_cast<double>(options.samples) * kMaxStep_s},
           {"block_samples", options.block_samples},
           {"objective", kRobust},
@@ -136,16 +159,24 @@ nlohmann::ordered_json robust_json(const RobustOptions& options, const RobustSum
            {{"force_N", options.noise.sensors.force_N},
             {"velocity_rad_s", options.noise.sensors.velocity_rad_s},
             {"torque_Nm", options.noise.torque_Nm}}},
-          {"expected_logdet", evaluation.expected_logdet},
-          {"worst_decile_logdet", evaluation.worst_decile_logdet},
           {"tracking_rms_N", evaluation.tracking_rms_N},
-          {"prior", {{"brakes", options.verify_brakes}, {"log_uniform", ranges}}},
-          {"step",
-           {{"force_N", summary.step.force_N},
-            {"rise_s", summary.step.rise_s},
-            {"expected_logdet", summary.step_evaluation.expected_logdet},
-            {"worst_decile_logdet", summary.step_evaluation.worst_decile_logdet}}},
-          {"gain_over_step", {{"mean", summary.gain.mean}, {"worst_decile", summary.gain.worst_decile}}}};
+          {"prior", {{"brakes", options.verify_brakes}, {"log_uniform", ranges}}}};
+  const nlohmann::ordered_json gain{{"mean", summary.gain.mean}, {"worst_decile", summary.gain.worst_decile}};
+  if (const auto& target = options.target) {
+    document["for"] = names_of(target->parameters);
+    document["beside"] = {{"trajectory", target->beside.name}, {"runs", target->runs}};
+    document["expected_log_variance"] = evaluation.expected_logdet;
+    document["gain_over_more_of_it"] = gain;
+    return document;
+  }
+  document["expected_logdet"] = evaluation.expected_logdet;
+  document["worst_decile_logdet"] = evaluation.worst_decile_logdet;
+  document["step"] = {{"force_N", summary.step.force_N},
+                      {"rise_s", summary.step.rise_s},
+                      {"expected_logdet", summary.step_evaluation.expected_logdet},
+                      {"worst_decile_logdet", summary.step_evaluation.worst_decile_logdet}};
+  document["gain_over_step"] = gain;
+  return document;
 }
 
 void print_torques(const std::vector<double>& block_torque_Nm) {
@@ -166,12 +197,19 @@ void print_robust_summary(const RobustOptions& options, const RobustSummary& sum
       "unknown, noise {:g} N, {:g} rad/s, {:g} N m:\n\n",
       options.verify_brakes, options.noise.sensors.force_N, options.noise.sensors.velocity_rad_s,
       options.noise.torque_Nm);
-  fmt::print("  log det of the covariance{:>9.3f}   expected; {:.3f} in the worst tenth\n",
-             evaluation.expected_logdet, evaluation.worst_decile_logdet);
-  fmt::print(
-      "  variance of a parameter  {:>8.2f}x   smaller than by a step to {:g} kN in {:g} s, held;\n"
-      "                           {:>8.2f}x   in the worst tenth\n",
-      summary.gain.mean, 1e-3 * summary.step.force_N, summary.step.rise_s, summary.gain.worst_decile);
+  if (const auto& target = options.target) {
+    fmt::print(
+        "  variance of {:<13}{:>8.2f}x   smaller by {:g} runs of it beside {:g} of {}, in place\n"
+        "                           {:>8.2f}x   of as many more of that; below: in the worst tenth\n",
+        fmt::format("{}", fmt::join(names_of(target->parameters), ", ")), summary.gain.mean, target->runs, target->runs, target->beside.name, summary.gain.worst_decile);
+  } else {
+    fmt::print("  log det of the covariance{:>9.3f}   expected; {:.3f} in the worst tenth\n",
+               evaluation.expected_logdet, evaluation.worst_decile_logdet);
+    fmt::print(
+        "  variance of a parameter  {:>8.2f}x   smaller than by a step to {:g} kN in {:g} s, held;\n"
+        "                           {:>8.2f}x   in the worst tenth\n",
+        summary.gain.mean, 1e-3 * summary.step.force_N, summary.step.rise_s, summary.gain.worst_decile);
+  }
   fmt::print(
       "  force, largest           {:>8.0f} N\n  speed, largest           {:>8.1f} rad/s\n"
       "  tracking error           {:>8.1f} N rms\n",
@@ -275,6 +313,19 @@ void add_design_command(CLI::App& app, int& exit_code) {
           "Table II, tracked in closed loop (a minute)")
       ->check(CLI::IsMember({"d", "a", "robust"}))
       ->capture_default_str();
+  CLI::Option* beside =
+      command
+          ->add_option("--beside", options->beside,
+                       "robust only: the check's trajectory, beside which the design is driven where the parameters of "
+                       "--for are in doubt")
+          ->type_name("TRAJ.csv");
+  std::vector<std::string> names;
+  for (const ParameterInfo& info : kParameterTable) names.emplace_back(info.name);
+  command->add_option("--for", options->wanted, "parameters, as in TC,Tv")
+      ->delimiter(',')
+      ->check(CLI::IsMember(names))
+      ->needs(beside);
+  beside->needs("--for");
   command->add_option("--torque-limit", limits.torque_Nm, "N m")->capture_default_str();
   command->add_option("--force-limit", limits.force_N, "N")->capture_default_str();
   command->add_option("--speed-limit", limits.velocity_rad_s, "rad/s, both directions")

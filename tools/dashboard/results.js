@@ -59,8 +59,9 @@ export const kChannels = [
   { key: 'torque_Nm', svg: 'torque', title: 'motor torque, N m', scale: 1 },
 ];
 
-/** Three charts, named PREFIX-force and so on, of a run against the reference. */
-export function drawRun(prefix, run, reference) {
+/** Three charts, named PREFIX-force and so on, of a run against what it was to follow. */
+export function drawRun(prefix, run, references) {
+  const reference = run.trajectory > 0 ? references.further[run.trajectory - 1] ?? references : references;
   const ms = (list) => list.map((_, row) => row * reference.period_s * 1e3);
   kChannels.forEach((channel, i) => {
     const scaled = (list) => list.map((value) => value * channel.scale);

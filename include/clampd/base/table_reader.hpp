@@ -42,6 +42,8 @@ class TableReader {
   void choice(std::string_view key, std::string& target, std::initializer_list<std::string_view> choices);
   /// An array of texts.
   void texts(std::string_view key, std::vector<std::string>& target);
+  /// An array of files; nothing is changed where the key is left out.
+  void paths(std::string_view key, std::optional<std::vector<std::string>>& target, const std::string& folder);
   /// A TOML date or a string YYYY-MM-DD.
   void date(std::string_view key, std::string& target);
   /// Relative paths count from `folder`.

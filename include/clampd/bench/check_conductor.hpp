@@ -94,7 +94,7 @@ class CheckConductor {
   const std::string& id() const { return id_; }
   const Opening& opening() const { return opening_; }
   /// What the runs of the check under way or the last one are to follow; before the first, the station's own.
-  const Reference& reference() const { return plan_.reference; }
+  const rt::CheckPlan& plan() const { return plan_; }
   /// Of that check.
   const std::string& part_number() const { return part_number_; }
 
@@ -106,6 +106,7 @@ class CheckConductor {
  private:
   Result<void> may_start(const rt::StartTicket& ticket) const;
   void hand_over(const rt::StartTicket& ticket);
+  void advise_loop();
   void take_samples();
   CheckOutcome outcome_at(Instant now);
   void explain_fault(CheckOutcome& outcome, const rt::CheckEnd& end) const;

@@ -7,6 +7,7 @@
 #include "clampd/archive/store.hpp"
 #include "clampd/base/result.hpp"
 #include "clampd/brake/extended_brake.hpp"
+#include "clampd/experiment/next_run.hpp"
 #include "clampd/record/reference.hpp"
 #include "clampd/sheet/sheet.hpp"
 #include "clampd/station/configuration.hpp"
@@ -30,6 +31,8 @@ struct PreparedCheck {
   std::optional<ExtendedParameters> model;  ///< whose effects a check estimates too
   rt::CheckPlan plan;                       ///< with the configured number of repeats
   std::string trajectory_sha256;
+  TrajectorySet trajectories;                    ///< that of the plan, then its further ones
+  std::vector<std::string> trajectories_sha256;  ///< of each of them
 };
 
 /// The same for the brakes of one part number.

@@ -25,6 +25,7 @@ class LiveFeed {
   mutable std::mutex mutex_;  ///< guards all below
   std::uint64_t run_ = 0;
   std::uint16_t repeat_ = 0;
+  std::uint8_t trajectory_ = 0;
   std::vector<double> force_N_;
   std::vector<double> velocity_rad_s_;
   std::vector<double> torque_Nm_;

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <limits>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -33,8 +34,17 @@ inline constexpr std::array<double, 15> kKnownRobustBlocks_Nm = {0.0649, 2.5257,
                                                                  0.3639, 0.2696, -0.2709, 0.1169,  0.1359,
                                                                  0.4983, 1.2707, -0.3300, -0.4806, 0.1712};
 
+/// A design for some of the parameters, to be driven beside runs of a trajectory that serves all of them.
+struct RobustTarget {
+  std::vector<Parameter> parameters;
+  Run beside;         ///< of the nominal brake, all columns
+  double runs = 4.0;  ///< of it, and as many of the design
+};
+
 struct RobustOptions {
   BrakeParameters nominal;
+  /// Nothing: all parameters, from runs of the design alone.
+  std::optional<RobustTarget> target;
   std::size_t samples = 300;
   std::size_t block_samples = 20;
   NoiseLevels noise{.sensors = {}, .torque_Nm = 0.0142};
@@ -55,7 +65,9 @@ struct RobustOptions {
 };
 
 /// A trajectory before the prior. Log dets are of the covariance of the normalised parameters with the
-/// initial state unknown, -log det M; infinite for a brake that the run does not identify.
+/// initial state unknown, -log det M; infinite for a brake that the run does not identify. Of a design for some of
+/// them it is the mean of the logarithms of their variances in their place, over both methods
+/// (expected_covariance()).
 struct RobustEvaluation {
   std::vector<double> logdet;  ///< per brake
   double expected_logdet = std::numeric_limits<double>::infinity();
@@ -72,14 +84,16 @@ struct RobustEvaluation {
 /// the loop's limits of force and speed. Errors: those of build_reference().
 Result<RobustEvaluation> evaluate_robust(const Run& trajectory, const BrakeParameters& nominal,
                                          std::span<const BrakeParameters> brakes, const NoiseLevels& noise,
-                                         double torque_limit_Nm = 3.0);
+                                         double torque_limit_Nm = 3.0,
+                                         const std::optional<RobustTarget>& target = {});
 
-/// How many times smaller the variance of a parameter is (geometric mean over the parameters).
+/// How many times smaller the variance of a parameter is (geometric mean over those that the design is for).
 struct RobustGain {
   double mean = 0.0;          ///< over the prior, of the logarithm
   double worst_decile = 0.0;  ///< of the variance that nine of ten brakes stay below
 };
-RobustGain gain_over(const RobustEvaluation& baseline, const RobustEvaluation& design);
+RobustGain gain_over(const RobustEvaluation& baseline, const RobustEvaluation& design,
+                     const std::optional<RobustTarget>& target = {});
 
 /// What a technician would do: a step of the clamp force in the same loop, held to the end.
 struct PlainStep {
@@ -102,9 +116,9 @@ struct RobustSummary {
   std::vector<double> block_torque_Nm;
   Run trajectory;               ///< of the nominal brake
   RobustEvaluation evaluation;  ///< over brakes that the search did not see
-  PlainStep step;
-  RobustEvaluation step_evaluation;
-  RobustGain gain;
+  PlainStep step;                   ///< empty of a design with a target
+  RobustEvaluation step_evaluation;  ///< of the step; with a target, of as many runs more of its trajectory
+  RobustGain gain;                   ///< over that
   DesignEvaluation nominal;  ///< as the other objectives see it: open loop, initial state and torque known
   std::int64_t evaluations = 0;  ///< trajectories scored by the search
   double wall_s = 0.0;

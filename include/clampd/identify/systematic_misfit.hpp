@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <span>
 
 #include "clampd/identify/estimate.hpp"
@@ -50,6 +51,10 @@ inline constexpr std::size_t kFewestRepeats = 4;
 ///
 /// Not to be told (can_tell false): fewer than kFewestRepeats runs, runs of different length, an estimate
 /// that has not converged or with effects beside the base model, a model that leaves all bounds.
-SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint);
+///
+/// `motions`: which runs repeat one motion, a number for each; those like the first are the repeats. Empty: all
+/// are. The estimate is of all runs.
+SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint,
+                                   std::span<const std::uint8_t> motions = {});
 
 }  // namespace clampd

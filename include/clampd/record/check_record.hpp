@@ -85,6 +85,7 @@ struct TimingRecord {
 /// One repeat of the trajectory: the data, and how well they were tracked and fitted.
 struct RunRecord {
   Run run;
+  std::uint8_t trajectory = 0;  ///< that it follows, of StoppingRecord::trajectories; 0 where there is none
   double tracking_rms_N = 0.0;  ///< measured force minus reference
   double tracking_max_N = 0.0;
   double fit_force_rms_N = 0.0;
@@ -122,6 +123,10 @@ struct StoppingRecord {
   double coverage_factor =
       0.0;  ///< half width of the guard band in standard deviations that are known, whenever it ends
   std::string reason;  ///< "every limit decided after 4 runs", "the most that was allowed: 21; TC in doubt"
+  /// SHA-256 of each trajectory that a run could follow; the first is CheckRecord::trajectory_sha256. Empty: there
+  /// was no choice.
+  std::vector<std::string> trajectories = {};
+  std::vector<std::uint8_t> followed = {};  ///< by each run: which of them; empty like them
 
   bool operator==(const StoppingRecord&) const = default;
 };

@@ -74,6 +74,7 @@ struct Sample {
   std::int32_t lateness_ns = 0;        ///< wake-up lateness of the tick that took it
   std::int32_t trajectory_index = -1;  ///< row of the trajectory, -1 outside of a run
   std::uint16_t repeat = 0;            ///< 0-based repeat of the check
+  std::uint8_t trajectory = 0;         ///< which of the check's trajectories the repeat follows
   StationState state = StationState::Init;
   CheckPhase phase = CheckPhase::None;
   FaultCause fault = FaultCause::None;

@@ -97,6 +97,9 @@ struct CheckSettings {
   /// fixed repeats (docs/repeats.md).
   std::uint32_t repeats_most = 21;
   std::string trajectory;  ///< run file; empty: the trajectory that ships with the station
+  /// Run files that runs of a check of as many as its brake needs may follow, once something is in doubt.
+  /// Nothing: those that ship with the station if its trajectory does, otherwise none.
+  std::optional<std::vector<std::string>> further_trajectories;
   double tare_s = 0.5;
   double approach_velocity_rad_s = 20.0;
   double contact_force_N = 300.0;

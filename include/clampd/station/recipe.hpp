@@ -25,6 +25,7 @@ struct Recipe {
   std::string limits_file;
   std::string sheet_file;
   std::string trajectory;
+  std::optional<std::vector<std::string>> further_trajectories;
   std::string model;  ///< extended model, as `clampctl diagnose --save` writes it
   std::string dbc;    ///< the CAN layout that these brakes need, with the next one
   std::vector<std::pair<std::string, std::string>> mapping;  ///< by role
@@ -34,7 +35,7 @@ struct Recipe {
 };
 
 /// A recipe (TOML): part_number and version, and optionally serials (a list of patterns), [limits] (file, or
-/// all that a limits file has), [sheet] file, [check] trajectory and model, [can] dbc and [can.mapping], each
+/// all that a limits file has), [sheet] file, [check] trajectory, further_trajectories and model, [can] dbc and [can.mapping], each
 /// with the meaning that it has in the station's configuration. Relative paths count from the recipe's
 /// folder. Errors with file, line and column: an unknown key, a wrong type, no part number or version, a file
 /// that cannot be read.

@@ -22,6 +22,7 @@ struct Tare {
 struct CollectedRun {
   Run run;
   std::uint16_t repeat = 0;
+  std::uint8_t trajectory = 0;  ///< of the check's, which it follows
   double tracking_rms_N = 0.0;  ///< tared force minus reference
   double tracking_max_N = 0.0;
 };

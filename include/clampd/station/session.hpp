@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "clampd/diagnose/diagnosis.hpp"
+#include "clampd/experiment/next_run.hpp"
 #include "clampd/ports/brake_port.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/record/sample.hpp"
@@ -53,6 +54,9 @@ Result<void> validate(const CheckRequest& request);
 struct CheckContext {
   std::size_t trajectory_rows = 0;
   std::string trajectory_sha256;
+  /// Those that a run can follow, where there is a choice: the one above first.
+  TrajectorySet trajectories = {};
+  std::vector<std::string> trajectories_sha256 = {};
   std::string software_version;
   std::int64_t started_utc_ns = 0;
   std::optional<TorqueWhileOff> torque_while_off = {};  ///< before the check, if there was time for it
@@ -117,13 +121,15 @@ class CheckSession {
   Progress progress() const;
   /// The runs so far decide every limit: no further one is needed. Any thread.
   bool has_enough() const { return worker_.has_enough(); }
+  /// The trajectory that the next run should follow, as far as is known by now. Any thread.
+  std::uint8_t next_trajectory() const { return worker_.next_trajectory(); }
 
  private:
   const Diagnosis* name_cause(CheckRecord& record);
   void question_failure(CheckRecord& record);
   std::string advice_on_method(const CheckRecord& record, const ParameterVector& sd) const;
   Looks looks();
-  bool are_enough(const std::vector<RunRecord>& runs, const Estimate& joint) const;
+  Look look_at(const std::vector<RunRecord>& runs, const Estimate& joint) const;
   void record_stopping(const CheckFacts& facts, const Judgement& judgement, const Estimate& joint,
                        CheckRecord& record) const;
   EstimateReading reading() const;
@@ -135,6 +141,8 @@ class CheckSession {
   std::optional<Sheet> sheet_;
   std::int64_t started_utc_ns_;
   PlannedRepeats repeats_;
+  TrajectorySet trajectories_;
+  std::vector<std::string> trajectories_sha256_;
   std::optional<StoppingRule> stopping_;  ///< nothing: a fixed number
   CheckRecord record_;
   RunCollector collector_;

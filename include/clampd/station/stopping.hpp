@@ -2,11 +2,15 @@
 
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
+#include <vector>
 
+#include "clampd/experiment/next_run.hpp"
 #include "clampd/identify/estimate.hpp"
 #include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/record/check_record.hpp"
+#include "clampd/sheet/sheet.hpp"
 #include "clampd/station/verdict.hpp"
 
 namespace clampd {
@@ -23,9 +27,13 @@ class StoppingRule {
   /// runs tell.
   static constexpr double kSeenToFit = 0.05;
 
+  /// Where runs are chosen, the information at the last look may be so many times that at the first one, of a
+  /// parameter that every later run is chosen for.
+  static constexpr double kMostInformation = 100.0;
+
   /// `guard_band_k`: of the limits, for a check of a fixed number. `most`: repeats at most, at least
-  /// kFirstLook.
-  StoppingRule(double guard_band_k, std::uint32_t most);
+  /// kFirstLook. `chooses`: which trajectory a run follows depends on the ones before.
+  StoppingRule(double guard_band_k, std::uint32_t most, bool chooses);
 
   std::uint32_t most() const { return most_; }
   /// In standard deviations that are known.
@@ -48,5 +56,12 @@ class StoppingRule {
   std::uint32_t most_;
   double coverage_factor_;
 };
+
+/// The trajectory that a further run should follow: of those that can be driven, the one after which the
+/// standard deviations of what is in doubt, parameters and lines of the sheet, are expected to be smallest
+/// (geometric mean). 0 where nothing is in doubt, or there is no choice.
+std::uint8_t next_trajectory_for(const Judgement& judgement, const Estimate& joint,
+                                 const std::vector<RunRecord>& runs, const TrajectorySet& trajectories,
+                                 std::span<const Characteristic> sheet, const BrakeParameters& nominal);
 
 }  // namespace clampd

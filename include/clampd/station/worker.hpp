@@ -39,11 +39,17 @@ enum class WorkerMode {
   Synchronous,  ///< inside of submit() and finish(), for a station in virtual time
 };
 
+/// What a look at the runs so far finds.
+struct Look {
+  bool is_enough = false;
+  std::uint8_t next_trajectory = 0;  ///< that a further run should follow
+};
+
 /// Looks at the runs so far, to end a check once they are enough.
 struct Looks {
   std::size_t first = 1;  ///< runs before the first look
-  /// Whether these are enough, given their joint estimate. Called by whoever identifies them.
-  std::function<bool(const std::vector<RunRecord>& runs, const Estimate& joint)> are_enough;
+  /// At these, given their joint estimate. Called by whoever identifies them.
+  std::function<Look(const std::vector<RunRecord>& runs, const Estimate& joint)> look;
 };
 
 /// Identifies each run as it arrives, and all of them jointly at the end; with looks, also jointly after each
@@ -73,6 +79,8 @@ class IdentificationWorker {
   std::uint32_t identified() const { return identified_.load(std::memory_order_relaxed); }
   /// A look found them to be enough; from any thread.
   bool has_enough() const { return has_enough_.load(std::memory_order_acquire); }
+  /// The trajectory that the last look asks for; from any thread.
+  std::uint8_t next_trajectory() const { return next_trajectory_.load(std::memory_order_relaxed); }
 
  private:
   void work();
@@ -89,6 +97,7 @@ class IdentificationWorker {
   Estimate joint_;                  ///< of the last look
   std::size_t joint_runs_ = 0;      ///< that it was of
   std::atomic<bool> has_enough_{false};
+  std::atomic<std::uint8_t> next_trajectory_{0};
   std::atomic<std::uint32_t> identified_{0};
   std::mutex mutex_;
   std::condition_variable arrived_;

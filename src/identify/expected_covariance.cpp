@@ -1,0 +1,49 @@
+#include "clampd/identify/expected_covariance.hpp"
+
+#include "clampd/base/assert.hpp"
+#include "clampd/base/nan.hpp"
+#include "src/identify/initial_state_prior.hpp"
+#include "src/identify/joint_normal.hpp"
+#include "src/identify/linear_run.hpp"
+
+namespace clampd {
+
+ExpectedContribution expected_contribution(Method method, const BrakeParameters& parameters,
+                                           const BrakeState& initial, const Excitation& excitation,
+                                           const NoiseLevels& noise) {
+  using namespace identify;
+  LinearRun linear;
+  linear.resize(excitation.size());
+  if (!linearise(run_without_readings(excitation), parameters, initial, linear))
+    return {ParameterMatrix::Constant(kNaN), ParameterMatrix::Constant(kNaN)};
+  const Variances variances = variances_of(noise);
+  if (method == Method::OutputError)
+    ignore_torque_noise(variances, {}, linear);
+  else
+    update_gains(variances, {}, linear);
+  Normal normal = normal_equations(linear);
+  const ScoreMoments moments =
+      score_moments({}, Eigen::Matrix<double, kUnknowns, 1>::Zero(), linear);
+  add_prior(kInitialStatePrior, Eigen::Vector2d(Eigen::Vector2d::Zero()), normal);
+  Eigen::Matrix<double, kTheta, kUnknowns> eliminate;
+  eliminate << ParameterMatrix::Identity(), -elimination(normal);
+  const Normal scatter = variances.force * moments.force + variances.velocity * moments.velocity +
+                         variances.torque * moments.torque;
+  return {eliminate * normal.topLeftCorner<kUnknowns, kTheta>(),
+          eliminate * scatter.topLeftCorner<kUnknowns, kUnknowns>() * eliminate.transpose()};
+}
+
+ParameterMatrix expected_covariance(std::span<const ExpectedContribution> contributions,
+                                    std::span<const double> counts) {
+  CLAMPD_ASSERT(contributions.size() == counts.size());
+  ExpectedContribution sum{ParameterMatrix::Zero(), ParameterMatrix::Zero()};
+  for (std::size_t i = 0; i < counts.size(); ++i) {
+    if (counts[i] == 0.0) continue;
+    sum.information += counts[i] * contributions[i].information;
+    sum.scatter += counts[i] * contributions[i].scatter;
+  }
+  const ParameterMatrix inverse = cramer_rao(sum.information);
+  return inverse * sum.scatter * inverse;
+}
+
+}  // namespace clampd
