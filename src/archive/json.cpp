@@ -84,18 +84,6 @@ ordered_json stopping_json(const std::optional<StoppingRecord>& stopping) {
           {"followed", stopping->followed}};
 }
 
-/// Null where the station had none.
-ordered_json sheet_json(const std::optional<SheetRecord>& sheet) {
-  if (!sheet) return nullptr;
-  ordered_json lines = ordered_json::array();
-  for (const CharacteristicRecord& line : sheet->characteristics)
-    lines.push_back(characteristic_json(line, sheet->misfit_marked));
-  return {{"file", sheet->file},
-          {"revision", sheet->revision},
-          {"sha256", sheet->sha256},
-          {"characteristics", std::move(lines)}};
-}
-
 /// Null where the station had no recipes.
 ordered_json recipe_json(const std::optional<RecipeRecord>& recipe) {
   if (!recipe) return nullptr;
@@ -118,6 +106,17 @@ ordered_json characteristic_json(const CharacteristicRecord& line, bool misfit_m
           {"verdict", line.verdict ? ordered_json(to_string(*line.verdict)) : ordered_json(nullptr)},
           {"misfit_marked", misfit_marked},
           {"why", line.why.empty() ? ordered_json(nullptr) : ordered_json(line.why)}};
+}
+
+ordered_json sheet_json(const std::optional<SheetRecord>& sheet) {
+  if (!sheet) return nullptr;
+  ordered_json lines = ordered_json::array();
+  for (const CharacteristicRecord& line : sheet->characteristics)
+    lines.push_back(characteristic_json(line, sheet->misfit_marked));
+  return {{"file", sheet->file},
+          {"revision", sheet->revision},
+          {"sha256", sheet->sha256},
+          {"characteristics", std::move(lines)}};
 }
 
 ordered_json cause_json(const CauseRecord& cause) {

@@ -112,6 +112,10 @@ CREATE INDEX queue_by_check ON clampd.queue (check_id);
 )sql",
     R"sql(
 ALTER TABLE clampd.checks ADD COLUMN recipe jsonb;
+)sql",
+    // JSON's null: a fixed number of repeats; SQL's NULL: published by a version that did not say it.
+    R"sql(
+ALTER TABLE clampd.checks ADD COLUMN stopping jsonb;
 )sql"};
 
 /// A value of a connection string.

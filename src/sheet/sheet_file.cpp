@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -101,6 +102,36 @@ void read_characteristic(const toml::table& table, const std::string& path, std:
   lines.push_back(std::move(line));
 }
 
+/// The inverse of circumstances_text(). False: these are no circumstances of the line's kind.
+bool read_circumstances(std::string_view text, Characteristic& line) {
+  for (const CircumstanceInfo& info : line.kind->circumstances) {
+    const std::string key = fmt::format("{} ", info.key);
+    if (text.substr(0, key.size()) != key) {
+      if (info.required) return false;
+      continue;  // of a version that did not have it yet
+    }
+    text.remove_prefix(key.size());
+    double& value = line.circumstances.*info.member;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+    if (error != std::errc() || !(value >= info.lower && value <= info.upper)) return false;
+    text.remove_prefix(static_cast<std::size_t>(end - text.data()));
+    if (text.substr(0, 2) == ", ") text.remove_prefix(2);
+  }
+  return text.empty();
+}
+
+Result<Characteristic> characteristic_of(const CharacteristicRecord& recorded) {
+  const CharacteristicKind* kind = kind_named(recorded.kind);
+  if (kind == nullptr || kind->unit != recorded.unit)
+    return failure(fmt::format("line {} of the sheet: this version knows no kind {} in {}", recorded.name,
+                               recorded.kind, recorded.unit));
+  Characteristic line{recorded.name, kind, {}, recorded.lower, recorded.upper};
+  if (!read_circumstances(recorded.circumstances, line))
+    return failure(fmt::format("line {} of the sheet: its circumstances on record ('{}') are not those of a {}",
+                               recorded.name, recorded.circumstances, recorded.kind));
+  return line;
+}
+
 }  // namespace
 
 bool Characteristic::has_limits() const {
@@ -110,7 +141,7 @@ bool Characteristic::has_limits() const {
 std::string circumstances_text(const Characteristic& characteristic) {
   std::string text;
   for (const CircumstanceInfo& info : characteristic.kind->circumstances)
-    text += fmt::format("{}{} {:g}", text.empty() ? "" : ", ", info.key,
+    text += fmt::format("{}{} {}", text.empty() ? "" : ", ", info.key,
                         characteristic.circumstances.*info.member);
   return text;
 }
@@ -123,6 +154,7 @@ Result<Sheet> parse_sheet(const std::string& text, const std::string& path) {
   Sheet sheet;
   sheet.file = path;
   sheet.sha256 = sha256_hex(text);
+  sheet.contents = text;
   document.text("revision", sheet.revision);
   document.text("author", sheet.author);
   document.date("changed", sheet.changed);
@@ -139,6 +171,19 @@ Result<Sheet> parse_sheet(const std::string& text, const std::string& path) {
 
 Result<Sheet> read_sheet(const std::string& path) {
   return read_file(path).and_then([&](const std::string& text) { return parse_sheet(text, path); });
+}
+
+Result<Sheet> sheet_of(const SheetRecord& record) {
+  Sheet sheet;
+  sheet.file = record.file;
+  sheet.revision = record.revision;
+  sheet.sha256 = record.sha256;
+  for (const CharacteristicRecord& recorded : record.characteristics) {
+    Result<Characteristic> line = characteristic_of(recorded);
+    if (!line) return tl::unexpected(line.error());
+    sheet.characteristics.push_back(std::move(*line));
+  }
+  return sheet;
 }
 
 }  // namespace clampd

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include <nlohmann/json.hpp>
@@ -14,6 +15,9 @@ nlohmann::ordered_json check_json(const CheckRecord& record);
 
 /// A line of its "sheet"; `misfit_marked`: of the sheet, so that each line says it.
 nlohmann::ordered_json characteristic_json(const CharacteristicRecord& line, bool misfit_marked);
+
+/// Its "sheet": null where the station had none.
+nlohmann::ordered_json sheet_json(const std::optional<SheetRecord>& sheet);
 
 /// Its "cause".
 nlohmann::ordered_json cause_json(const CauseRecord& cause);

@@ -9,6 +9,7 @@
 
 #include "clampd/base/result.hpp"
 #include "clampd/parameters/brake_parameters.hpp"
+#include "clampd/record/check_record.hpp"
 
 namespace clampd {
 
@@ -61,6 +62,7 @@ struct Characteristic {
 };
 
 /// All circumstances that its kind has, those that the file leaves out included: "force_N 20000, share 0.9".
+/// Numbers read back as the same ones.
 std::string circumstances_text(const Characteristic& characteristic);
 
 /// What a line asks of its brakes beside their parameters.
@@ -68,8 +70,9 @@ struct Sheet {
   std::string file;
   std::string revision;
   std::string author;
-  std::string changed;  ///< date, YYYY-MM-DD
-  std::string sha256;   ///< of the file's text
+  std::string changed;   ///< date, YYYY-MM-DD
+  std::string sha256;    ///< of the file's text
+  std::string contents;  ///< the file's text; empty: it comes from a record
   std::vector<Characteristic> characteristics;
 };
 
@@ -80,5 +83,9 @@ struct Sheet {
 /// kN), a name or a line that is there twice.
 Result<Sheet> read_sheet(const std::string& path);
 Result<Sheet> parse_sheet(const std::string& text, const std::string& path);
+
+/// What a check was asked, as its record has it: the lines with their circumstances and limits, but not what
+/// they came to. Errors name the line: a kind, a unit or circumstances that this version does not know.
+Result<Sheet> sheet_of(const SheetRecord& record);
 
 }  // namespace clampd
