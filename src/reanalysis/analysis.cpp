@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "clampd/archive/compression.hpp"
+#include "clampd/archive/json.hpp"
 #include "clampd/base/json.hpp"
 #include "clampd/base/version.hpp"
 #include "clampd/diagnose/diagnosis.hpp"
@@ -15,6 +16,7 @@
 #include "clampd/reanalysis/population.hpp"
 #include "clampd/record/checksum.hpp"
 #include "clampd/station/evidence.hpp"
+#include "clampd/station/stopping.hpp"
 #include "clampd/station/verdict.hpp"
 #include "clampd/station/worker.hpp"
 #include "clampd/views/diagnosis_json.hpp"
@@ -23,6 +25,8 @@ namespace clampd::reanalysis {
 namespace {
 
 using nlohmann::ordered_json;
+
+constexpr const char* kGiveSheet = "submit the job with --sheet FILE";
 
 Tare tare_of(const ArchivedCheck& check, const Task& task) {
   if (!check.tare_force_sd_N || !check.tare_velocity_sd_rad_s) return {};
@@ -175,9 +179,53 @@ Result<ordered_json> scores_of(const std::vector<Run>& runs, const Task& task) {
   return score_effects(runs, task.nominal).map(scores_json);
 }
 
-std::optional<std::string> identify_check(const ArchivedCheck& check, std::vector<CollectedRun> runs,
-                                          const Task& task, const std::string& task_sha256,
-                                          const std::function<bool()>& given_up) {
+/// By what a check is judged beside the limits, as its station did.
+struct Yardstick {
+  std::optional<StoppingRule> stopping;  ///< nothing: a fixed number of repeats
+  std::optional<Sheet> sheet;
+};
+
+Result<Yardstick> yardstick_of(const ArchivedCheck& check, const Task& task) {
+  Yardstick yardstick;
+  if (check.stopping) {
+    if (check.stopping->most < StoppingRule::kFirstLook)
+      return failure(fmt::format("check {}: it was allowed {} repeats at most on record, and no station looks before {}: its row in "
+                                 "clampd.checks was changed",
+                                 check.id, check.stopping->most, StoppingRule::kFirstLook));
+    yardstick.stopping.emplace(task.limits.guard_band_k, check.stopping->most);
+  }
+  // No characteristic counts a model's effects.
+  if (task.model) return yardstick;
+  yardstick.sheet = task.sheet;
+  if (task.sheet || !check.sheet) return yardstick;
+  Result<Sheet> sheet = sheet_of(*check.sheet);
+  if (!sheet)
+    return failure(fmt::format("check {}: {}: {}", check.id, sheet.error().message, kGiveSheet));
+  yardstick.sheet = std::move(*sheet);
+  return yardstick;
+}
+
+ordered_json stopping_json(const ArchivedCheck& check, const std::optional<StoppingRule>& rule) {
+  if (!check.is_stopping_known) return {{"rule", "not on record"}};
+  if (!rule) return nullptr;
+  return {{"rule", "auto"},
+          {"most", rule->most()},
+          {"coverage_factor", rule->coverage_factor()},
+          {"recorded_coverage_factor", number_or_null(check.stopping->coverage_factor)}};
+}
+
+ordered_json judged_sheet_json(const std::optional<Sheet>& sheet, const Judgement& judgement,
+                               const std::optional<SystematicRecord>& systematic) {
+  if (!sheet) return nullptr;
+  return sheet_json(SheetRecord{sheet->file, sheet->revision, sheet->sha256, systematic && systematic->marked,
+                                judgement.characteristics});
+}
+
+Result<std::optional<std::string>> identify_check(const ArchivedCheck& check, std::vector<CollectedRun> runs,
+                                                  const Task& task, const std::string& task_sha256,
+                                                  const std::function<bool()>& given_up) {
+  const Result<Yardstick> yardstick = yardstick_of(check, task);
+  if (!yardstick) return tl::unexpected(yardstick.error());
   const std::optional<IdentificationWorker::Outcome> outcome = identify_runs(std::move(runs), task, given_up);
   if (!outcome) return std::nullopt;
   const Estimate& joint = outcome->joint;
@@ -189,11 +237,17 @@ std::optional<std::string> identify_check(const ArchivedCheck& check, std::vecto
                     .tare = tare,
                     .torque_noise_Nm = task.validity.torque_noise_Nm,
                     .is_by_output_errors = task.method == Method::OutputError && !task.model,
-                    .guard_band_k = task.limits.guard_band_k},
+                    .guard_band_k = task.limits.guard_band_k,
+                    .sheet = yardstick->sheet ? &*yardstick->sheet : nullptr,
+                    .stopping = yardstick->stopping ? &*yardstick->stopping : nullptr},
                    facts);
+  if (facts.estimated && facts.fault == FaultCause::None && yardstick->sheet &&
+      yardstick->sheet->characteristics.empty())
+    return failure(fmt::format("check {}: it had no estimate, so that the lines of its sheet {} are not on record: {}",
+                               check.id, yardstick->sheet->file, kGiveSheet));
   const Judgement judgement = judge(facts, task.limits, task.validity);
   ordered_json document{
-      {"schema", "clampd.reanalysis/1"},
+      {"schema", "clampd.reanalysis/2"},
       {"record", check.id},
       {"serial", check.serial},
       {"verdict", to_string(judgement.verdict)},
@@ -205,6 +259,8 @@ std::optional<std::string> identify_check(const ArchivedCheck& check, std::vecto
       {"misfit",
        {{"force", number_or_null(facts.misfit_force)}, {"velocity", number_or_null(facts.misfit_velocity)}}},
       {"systematic_misfit", systematic_json(systematic)},
+      {"stopping", stopping_json(check, yardstick->stopping)},
+      {"sheet", judged_sheet_json(yardstick->sheet, judgement, systematic)},
       {"estimate", estimate_json(joint)},
       {"limits",
        {{"file", task.limits.file}, {"revision", task.limits.revision}, {"sha256", task.limits.sha256}}},

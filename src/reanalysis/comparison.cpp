@@ -49,7 +49,45 @@ void add_move(const std::string& check, const json& before, const json& after,
 
 /// Diagnoses and scores do not; what was recorded has no schema.
 bool identifies_parameters(const json& document) {
-  return document.value("schema", "clampd.reanalysis/1") == "clampd.reanalysis/1";
+  const std::string schema = document.value("schema", "clampd.reanalysis/2");
+  return schema == "clampd.reanalysis/2" || schema == "clampd.reanalysis/1";
+}
+
+/// Null where there is none, as in what earlier versions found.
+json object_in(const json& document, const char* key) {
+  return document.value(key, json());
+}
+
+json lines_of(const json& document) {
+  const json sheet = object_in(document, "sheet");
+  return sheet.is_null() ? json::array() : sheet.at("characteristics");
+}
+
+std::string verdict_of(const json& line) {
+  return line.at("verdict").is_null() ? std::string() : line.at("verdict").get<std::string>();
+}
+
+void add_lines(const ComparedCheck& check, const json& before, const json& after, Comparison& comparison) {
+  const json earlier = lines_of(before);
+  for (const json& line : lines_of(after))
+    for (const json& same : earlier)
+      if (same.at("name") == line.at("name") && same.at("verdict") != line.at("verdict"))
+        comparison.lines.push_back(
+            {check.check, check.serial, line.at("name"), verdict_of(same), verdict_of(line)});
+}
+
+/// 0 for a fixed number of repeats.
+double coverage_factor_of(const json& document) {
+  const json stopping = object_in(document, "stopping");
+  return stopping.is_null() ? 0.0 : stopping.value("coverage_factor", 0.0);
+}
+
+void add_guard_bands(const json& before, const json& after, Comparison& comparison) {
+  // Its search ends at a few ten thousandths, to either side on other machines.
+  constexpr double kSame = 1e-3;
+  if (std::abs(coverage_factor_of(after) - coverage_factor_of(before)) > kSame) ++comparison.other_guard_bands;
+  const json stopping = object_in(after, "stopping");
+  if (!stopping.is_null() && stopping.at("rule") == "not on record") ++comparison.unknown_stopping;
 }
 
 /// Throws what nlohmann::json throws.
@@ -67,6 +105,8 @@ Result<void> add_check(const ComparedCheck& check, Comparison& comparison) {
   for (const json& parameter : after.at("parameters"))
     if (const json* earlier = find_parameter_in(before, parameter.at("name")))
       add_move(check.check, *earlier, parameter, comparison.parameters);
+  add_lines(check, before, after, comparison);
+  add_guard_bands(before, after, comparison);
   return {};
 }
 

@@ -61,7 +61,8 @@ WHERE q.job_id = $1 ORDER BY q.check_id)sql";
 constexpr const char* kWithRecorded = R"sql(
 SELECT q.check_id, c.serial, r.document, json_build_object('verdict', c.verdict, 'parameters', COALESCE((
     SELECT json_agg(json_build_object('name', p.name, 'unit', p.unit, 'value', p.value, 'sd', p.sd)
-      ORDER BY p.position) FROM clampd.parameters p WHERE p.check_id = c.id), '[]'::json))::text
+      ORDER BY p.position) FROM clampd.parameters p WHERE p.check_id = c.id), '[]'::json),
+  'stopping', c.stopping, 'sheet', c.sheet)::text
 FROM clampd.queue q JOIN clampd.results r ON r.id = q.result_id JOIN clampd.checks c ON c.id = q.check_id
 WHERE q.job_id = $1 ORDER BY q.check_id)sql";
 

@@ -39,8 +39,16 @@ RETURNING q.id, q.claim_token, q.job_id, q.check_id, j.task_sha256)sql";
 constexpr const char* kCheck = R"sql(
 SELECT serial, verdict, reason, fault, repeats, COALESCE((timing->>'skipped')::bigint, 0),
   COALESCE((timing->>'lost_samples')::bigint, 0), COALESCE(tracking_rms_n, 0),
-  (tare->>'force_sd_N')::double precision, (tare->>'velocity_sd_rad_s')::double precision
+  (tare->>'force_sd_N')::double precision, (tare->>'velocity_sd_rad_s')::double precision,
+  stopping IS NOT NULL, (stopping->>'most')::bigint, (stopping->>'coverage_factor')::double precision,
+  sheet->>'file', sheet->>'revision', sheet->>'sha256'
 FROM clampd.checks WHERE id = $1)sql";
+
+constexpr const char* kSheet = R"sql(
+SELECT line->>'name', line->>'kind', line->>'unit', COALESCE(line->>'circumstances', ''),
+  COALESCE((line->>'lower')::double precision, '-infinity'), COALESCE((line->>'upper')::double precision, 'infinity')
+FROM clampd.checks, jsonb_array_elements(sheet->'characteristics') WITH ORDINALITY AS list (line, position)
+WHERE id = $1 ORDER BY position)sql";
 
 /// Raw runs stand in the partition of their check's start.
 constexpr const char* kRuns = R"sql(
@@ -55,6 +63,21 @@ SELECT has_table_privilege('clampd.checks', 'SELECT') AND has_table_privilege('c
   has_table_privilege('clampd.tasks', 'SELECT') AND has_table_privilege('clampd.queue', 'SELECT') AND
   has_table_privilege('clampd.queue', 'UPDATE') AND has_table_privilege('clampd.results', 'SELECT') AND
   has_table_privilege('clampd.results', 'INSERT'))sql";
+
+/// `row`: of kCheck.
+SheetRecord recorded_sheet(pqxx::work& transaction, const std::string& id, const pqxx::row& row) {
+  SheetRecord sheet{row[13].as<std::string>(), row[14].as<std::string>(), row[15].as<std::string>(), false, {}};
+  for (const pqxx::row& recorded : transaction.exec_params(kSheet, id)) {
+    CharacteristicRecord& line = sheet.characteristics.emplace_back();
+    line.name = recorded[0].as<std::string>();
+    line.kind = recorded[1].as<std::string>();
+    line.unit = recorded[2].as<std::string>();
+    line.circumstances = recorded[3].as<std::string>();
+    line.lower = recorded[4].as<double>();
+    line.upper = recorded[5].as<double>();
+  }
+  return sheet;
+}
 
 bool is_done(pqxx::work& transaction, const Claim& claim) {
   return !transaction
@@ -164,6 +187,9 @@ Result<ArchivedCheck> Queue::check(const std::string& id) {
         check.tracking_rms_N = row[7].as<double>();
         if (!row[8].is_null()) check.tare_force_sd_N = row[8].as<double>();
         if (!row[9].is_null()) check.tare_velocity_sd_rad_s = row[9].as<double>();
+        check.is_stopping_known = row[10].as<bool>();
+        if (!row[11].is_null()) check.stopping = {row[11].as<std::uint32_t>(), row[12].as<double>(0.0), {}};
+        if (!row[13].is_null()) check.sheet = recorded_sheet(transaction, id, row);
         for (const pqxx::row& run : transaction.exec_params(kRuns, id)) {
           ArchivedRun& archived = check.runs.emplace_back();
           archived.name = run[0].as<std::string>();

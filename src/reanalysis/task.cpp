@@ -14,13 +14,19 @@ namespace {
 
 using nlohmann::ordered_json;
 
-constexpr const char* kSchema = "clampd.task/1";
+constexpr const char* kSchema = "clampd.task/2";
+constexpr const char* kWithoutSheet = "clampd.task/1";
 constexpr std::array kKinds{Task::Kind::Identify, Task::Kind::Diagnose, Task::Kind::ScoreEffects};
 
 std::optional<Task::Kind> parse_kind(const std::string& name) {
   for (const Task::Kind kind : kKinds)
     if (to_string(kind) == name) return kind;
   return std::nullopt;
+}
+
+/// The folder of a file says nothing about what is to be done.
+ordered_json file_json(const std::string& file, const std::string& text) {
+  return {{"file", std::filesystem::path(file).filename().string()}, {"text", text}};
 }
 
 ordered_json validity_json(const ValiditySettings& validity) {
@@ -46,7 +52,7 @@ Result<Task> task_of(const ordered_json& document) {
   const std::string schema = document.at("schema");
   const std::string kind = document.at("kind");
   const std::optional<Task::Kind> known = parse_kind(kind);
-  if (schema != kSchema || !known)
+  if ((schema != kSchema && schema != kWithoutSheet) || !known)
     return failure(
         fmt::format("the task is a {} of the kind {}; this version knows {} of the kinds identify, diagnose and "
                     "score-effects: use a newer version",
@@ -73,11 +79,14 @@ Result<Task> task_of(const ordered_json& document) {
       parse_limits(document.at("limits").at("text").get<std::string>(), document.at("limits").at("file"));
   if (!limits) return tl::unexpected(limits.error());
   task.limits = std::move(*limits);
-  if (const Result<void> usable = check_limits(task.limits, task.model.value_or(ExtendedParameters{}));
-      !usable)
-    return tl::unexpected(usable.error());
   task.validity = validity_of(document.at("validity"));
-  return task;
+  if (schema != kWithoutSheet && !document.at("sheet").is_null()) {
+    Result<Sheet> sheet =
+        parse_sheet(document.at("sheet").at("text").get<std::string>(), document.at("sheet").at("file"));
+    if (!sheet) return tl::unexpected(sheet.error());
+    task.sheet = std::move(*sheet);
+  }
+  return check_task(task).map([&] { return std::move(task); });
 }
 
 }  // namespace
@@ -94,18 +103,27 @@ std::string_view to_string(Task::Kind kind) noexcept {
   return "unknown";
 }
 
+Result<void> check_task(const Task& task) {
+  if (task.model && task.sheet)
+    return failure(fmt::format(
+        "{}: a sheet is about the base model, and the job has a model with effects that it does not count: leave "
+        "out one of the two",
+        task.sheet->file));
+  return check_limits(task.limits, task.model.value_or(ExtendedParameters{}));
+}
+
 std::string format_task(const Task& task) {
   ordered_json document{{"schema", kSchema},
                         {"kind", to_string(task.kind)},
                         {"nominal", format_extended_parameters({task.nominal, {}})},
                         {"tare_samples", task.tare_samples}};
   if (task.kind == Task::Kind::Identify) {
-    // The folder of a limits file says nothing about what is to be done.
-    const std::string file = std::filesystem::path(task.limits.file).filename();
     document["method"] = to_string(task.method);
     document["model"] =
         task.model ? ordered_json(format_extended_parameters(*task.model)) : ordered_json(nullptr);
-    document["limits"] = {{"file", file}, {"text", task.limits.contents}};
+    document["limits"] = file_json(task.limits.file, task.limits.contents);
+    document["sheet"] =
+        task.sheet ? file_json(task.sheet->file, task.sheet->contents) : ordered_json(nullptr);
     document["validity"] = validity_json(task.validity);
   }
   return document.dump(1, ' ', false, ordered_json::error_handler_t::replace);

@@ -249,7 +249,7 @@ const std::vector<std::pair<std::string_view, Rooms>>& arrows() {
       {"attribution", {"statistics", "base"}},
       {"views", {"line", "attribution", "archive", "station", "drive", "diagnose", "brake", "record", "base"}},
       {"reanalysis",
-       {"views", "publish", "attribution", "archive", "station", "diagnose", "identify", "brake", "parameters", "record", "base"}},
+       {"views", "publish", "attribution", "archive", "station", "sheet", "diagnose", "identify", "brake", "parameters", "record", "base"}},
       {"line_page",
        {"reanalysis", "views", "line", "attribution", "parameters", "record", "base"}},
       {"rt", {"control", "ports", "record", "base"}},

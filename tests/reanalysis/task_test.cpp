@@ -22,6 +22,13 @@ Task an_odd_task() {
   return task;
 }
 
+Task a_task_with_a_sheet() {
+  Task task = an_odd_task();
+  task.model.reset();
+  task.sheet = *read_sheet(CLAMPD_SOURCE_DIR "/configs/sheet.toml");
+  return task;
+}
+
 TEST(Task, ReadsWhatItWrites) {
   const std::string document = format_task(an_odd_task());
   const Result<Task> read = parse_task(document);
@@ -33,6 +40,27 @@ TEST(Task, ReadsWhatItWrites) {
   EXPECT_EQ(read->tare_samples, 321U);
   EXPECT_EQ(read->limits.sha256, an_odd_task().limits.sha256);
   EXPECT_EQ(format_task(*read), document);
+}
+
+TEST(Task, HasTheWholeSheetInIt) {
+  const std::string document = format_task(a_task_with_a_sheet());
+  const Result<Task> read = parse_task(document);
+  ASSERT_TRUE(read) << read.error().message;
+  ASSERT_TRUE(read->sheet);
+  EXPECT_EQ(read->sheet->file, "sheet.toml");
+  EXPECT_EQ(read->sheet->sha256, a_task_with_a_sheet().sheet->sha256);
+  EXPECT_EQ(read->sheet->characteristics.size(), a_task_with_a_sheet().sheet->characteristics.size());
+  EXPECT_EQ(format_task(*read), document);
+}
+
+TEST(Task, OfAnEarlierVersionHasNoSheet) {
+  nlohmann::ordered_json earlier = nlohmann::ordered_json::parse(format_task(an_odd_task()));
+  earlier["schema"] = "clampd.task/1";
+  earlier.erase("sheet");
+  const Result<Task> read = parse_task(earlier.dump());
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_FALSE(read->sheet);
+  EXPECT_EQ(format_task(*read), format_task(an_odd_task()));
 }
 
 // So that the same question is answered once, whatever limits the station has.
@@ -76,6 +104,9 @@ TEST(Task, SaysWhatIsWrong) {
   EXPECT_THAT(with("limits", {{"file", "my.toml"}, {"text", "revision = 3"}}), HasSubstr("my.toml"));
   EXPECT_THAT(with("validity", nlohmann::ordered_json::object()), HasSubstr("skipped_ticks_max"));
   EXPECT_THAT(with("tare_samples", "many"), HasSubstr("cannot be read"));
+  EXPECT_THAT(with("sheet", {{"file", "my.toml"}, {"text", "revision = 3"}}), HasSubstr("my.toml"));
+  EXPECT_THAT(with("sheet", nlohmann::ordered_json::parse(format_task(a_task_with_a_sheet()))["sheet"]),
+              HasSubstr("a sheet is about the base model"));
 }
 
 }  // namespace

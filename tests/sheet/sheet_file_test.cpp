@@ -61,6 +61,48 @@ TEST(SheetFile, SaysWhatTheLineAsksFor) {
   EXPECT_EQ(sheet->characteristics[1].lower, 0.0);
 }
 
+TEST(SheetFile, IsReadBackFromWhatARecordSaysOfIt) {
+  std::string text = kGood;
+  text.replace(text.find("20000"), 5, "20000.0625");
+  text.replace(text.find("0.9"), 3, "0.8123456789");
+  const Result<Sheet> sheet = parse_sheet(text, "sheet.toml");
+  ASSERT_TRUE(sheet) << sheet.error().message;
+  SheetRecord record{sheet->file, sheet->revision, sheet->sha256, false, {}};
+  for (const Characteristic& line : sheet->characteristics) {
+    CharacteristicRecord& recorded = record.characteristics.emplace_back();
+    recorded.name = line.name;
+    recorded.kind = line.kind->name;
+    recorded.unit = line.kind->unit;
+    recorded.circumstances = circumstances_text(line);
+    recorded.lower = line.lower;
+    recorded.upper = line.upper;
+  }
+  const Result<Sheet> read = sheet_of(record);
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_EQ(read->sha256, sheet->sha256);
+  ASSERT_EQ(read->characteristics.size(), 2u);
+  for (std::size_t i = 0; i < 2; ++i) {
+    const Characteristic &line = read->characteristics[i], &original = sheet->characteristics[i];
+    EXPECT_EQ(line.name, original.name);
+    EXPECT_EQ(line.kind, original.kind);
+    EXPECT_EQ(line.lower, original.lower);
+    EXPECT_EQ(line.upper, original.upper);
+    for (const CircumstanceInfo& info : line.kind->circumstances)
+      EXPECT_EQ(line.circumstances.*info.member, original.circumstances.*info.member) << info.key;
+  }
+
+  const auto refused = [&](std::string CharacteristicRecord::*member, const std::string& value) {
+    SheetRecord changed = record;
+    changed.characteristics[1].*member = value;
+    const Result<Sheet> refusal = sheet_of(changed);
+    return refusal ? std::string("none") : refusal.error().message;
+  };
+  EXPECT_THAT(refused(&CharacteristicRecord::kind, "levitation"), HasSubstr("line holds of the sheet: this version knows no kind levitation"));
+  EXPECT_THAT(refused(&CharacteristicRecord::unit, "mN m"), HasSubstr("knows no kind holding-margin in mN m"));
+  for (const char* odd : {"", "force_N", "force_N x", "force_N 20000, share 0.9", "force_N 2e9", "force_N 20000 N"})
+    EXPECT_THAT(refused(&CharacteristicRecord::circumstances, odd), HasSubstr("are not those of a holding-margin")) << odd;
+}
+
 TEST(SheetFile, TheShippedOneIsValid) {
   const Result<Sheet> sheet = read_sheet(std::string(CLAMPD_SOURCE_DIR) + "/configs/sheet.toml");
   ASSERT_TRUE(sheet) << sheet.error().message;

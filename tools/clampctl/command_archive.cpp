@@ -37,6 +37,7 @@ struct ArchiveOptions {
   std::string method;
   std::string model;
   std::string limits;
+  std::string sheet;
   reanalysis::Selection selection;
   bool diagnose = false;
   bool score_effects = false;
@@ -77,10 +78,12 @@ Result<reanalysis::Task> task_of(const ArchiveOptions& options, const StationCon
                                 : read_limits(file);
   if (!limits) return tl::unexpected(limits.error());
   task.limits = std::move(*limits);
-  if (const Result<void> usable = check_limits(task.limits, task.model.value_or(ExtendedParameters{}));
-      !usable)
-    return tl::unexpected(usable.error());
-  return task;
+  if (!options.sheet.empty()) {
+    Result<Sheet> sheet = read_sheet(options.sheet);
+    if (!sheet) return tl::unexpected(sheet.error());
+    task.sheet = std::move(*sheet);
+  }
+  return reanalysis::check_task(task).map([&] { return std::move(task); });
 }
 
 int submit(const ArchiveOptions& options, const CommonOptions& common) {
@@ -249,6 +252,16 @@ ordered_json comparison_json(const Comparison& comparison, std::int64_t job,
                         {"before", changed.before},
                         {"after", changed.after},
                         {"reason", changed.reason}});
+  const auto or_null = [](const std::string& verdict) {
+    return verdict.empty() ? ordered_json(nullptr) : ordered_json(verdict);
+  };
+  ordered_json lines = ordered_json::array();
+  for (const reanalysis::ChangedLine& changed : comparison.lines)
+    lines.push_back({{"record", changed.check},
+                     {"serial", changed.serial},
+                     {"line", changed.line},
+                     {"before", or_null(changed.before)},
+                     {"after", or_null(changed.after)}});
   ordered_json parameters = ordered_json::array();
   for (const reanalysis::MovedParameter& moved : comparison.parameters)
     parameters.push_back({{"name", moved.name},
@@ -263,7 +276,10 @@ ordered_json comparison_json(const Comparison& comparison, std::int64_t job,
           {"with", with ? ordered_json(*with) : ordered_json(nullptr)},
           {"checks", comparison.checks},
           {"verdicts_changed", std::move(verdicts)},
-          {"parameters", std::move(parameters)}};
+          {"parameters", std::move(parameters)},
+          {"sheet_lines_changed", std::move(lines)},
+          {"other_guard_bands", comparison.other_guard_bands},
+          {"unknown_stopping", comparison.unknown_stopping}};
 }
 
 void print_comparison(const Comparison& comparison, std::optional<std::int64_t> with) {
@@ -276,6 +292,18 @@ void print_comparison(const Comparison& comparison, std::optional<std::int64_t> 
     fmt::print(
         "  {:<5} moves by {:.3g} {} on average, by {:.3g} at most ({}), {:.2g} standard deviations at most\n",
         moved.name, moved.mean, moved.unit, moved.largest, moved.largest_in, moved.largest_sd);
+  const auto in_words = [](const std::string& verdict) { return verdict.empty() ? "no verdict" : verdict; };
+  for (const reanalysis::ChangedLine& changed : comparison.lines)
+    fmt::print("  {}  {:<16} {}: {} -> {}\n", changed.check, changed.serial, changed.line,
+               in_words(changed.before), in_words(changed.after));
+  if (comparison.other_guard_bands > 0)
+    cli::print_notice(fmt::format("{} checks of as many repeats as they needed are judged with other guard bands than before: by another "
+                                  "guard_band_k of the limits, or another version",
+                                  comparison.other_guard_bands));
+  if (comparison.unknown_stopping > 0)
+    cli::print_notice(fmt::format("of {} checks it is not on record whether they took as many repeats as they needed (published before "
+                                  "schema 6 of the database): their guard bands are those of a fixed number",
+                                  comparison.unknown_stopping));
 }
 
 int show_comparison(const ArchiveOptions& options, const CommonOptions& common) {
@@ -375,12 +403,16 @@ void add_submit(CLI::App& archive, const CommonOptions& common, int& exit_code) 
   command->get_option("--method")->excludes(model);
   command->add_option("--limits", options->limits, "judge by these limits (default: the configuration's)")
       ->type_name("LIMITS.toml");
+  command
+      ->add_option("--sheet", options->sheet, "judge by this requirement sheet (default: that of each check, if it had one)")
+      ->type_name("SHEET.toml")
+      ->excludes(model);
   CLI::Option* diagnose = command->add_flag("--diagnose", options->diagnose,
                                             "diagnose each check instead: what the base model gets wrong, by name");
   CLI::Option* scores = command->add_flag("--score-effects", options->score_effects,
                                           "ask each check about every effect instead, for `clampctl archive population`");
   scores->excludes(diagnose);
-  for (const char* of_verdicts : {"--method", "--model", "--limits"})
+  for (const char* of_verdicts : {"--method", "--model", "--limits", "--sheet"})
     for (CLI::Option* other : {diagnose, scores}) other->excludes(command->get_option(of_verdicts));
   constexpr const char* kGroup = "Which checks";
   reanalysis::Selection& selection = options->selection;

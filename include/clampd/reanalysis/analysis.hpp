@@ -30,6 +30,11 @@ struct ArchivedCheck {
   std::string reason;
   std::string fault;  ///< name of its cause; "none": there was none
   std::uint32_t repeats = 0;
+  /// Nothing: their number was fixed, or is not known to have been.
+  std::optional<StoppingRecord> stopping;
+  bool is_stopping_known = true;  ///< false: published by a version that did not say it
+  /// What it was asked, not what came of it; without lines where there was no estimate. Nothing: no sheet.
+  std::optional<SheetRecord> sheet;
   std::uint64_t ticks_skipped = 0;
   std::uint64_t samples_lost = 0;
   double tracking_rms_N = 0.0;
@@ -44,9 +49,11 @@ struct ArchivedCheck {
 Result<std::vector<CollectedRun>> unpack_runs(const ArchivedCheck& check);
 
 /// Does with the runs what the task says, on one thread. Identify: as a station does (each run, then all jointly), and judges by the
-/// task's limits (clampd.reanalysis/1). Diagnose: as `clampctl diagnose` (clampd.archived_diagnosis/1). ScoreEffects: score_effects()
+/// task's limits, with the guard bands of the record's stopping rule and the task's or the record's sheet, which is left out beside a
+/// model (clampd.reanalysis/2). Diagnose: as `clampctl diagnose` (clampd.archived_diagnosis/1). ScoreEffects: score_effects()
 /// (clampd.effect_scores/2). The document (JSON) says nothing of the time it took or was made at, so that equal runs, task and
-/// software give equal texts. Nothing if `given_up` said so meanwhile. Errors: runs that cannot be diagnosed or scored.
+/// software give equal texts. Nothing if `given_up` said so meanwhile. Errors: runs that cannot be diagnosed or scored;
+/// a stopping rule that no station has; a record's sheet of which this version does not know a line, or that has none on record.
 Result<std::optional<std::string>> analyse(const ArchivedCheck& check, std::vector<CollectedRun> runs,
                                            const Task& task, const std::string& task_sha256,
                                            const std::function<bool()>& given_up);

@@ -60,7 +60,7 @@ struct JobResult {
   std::string check;
   std::string state;
   std::string reason;    ///< why it failed; empty otherwise
-  std::string document;  ///< clampd.reanalysis/1; empty if there is none (yet)
+  std::string document;  ///< clampd.reanalysis/2; empty if there is none (yet)
 };
 
 /// As clampd.archive_status/1 has it.
@@ -72,7 +72,7 @@ struct ComparedCheck {
   std::string serial;
   std::string document;  ///< of the job
   std::string
-      before;  ///< the same keys verdict, parameters (name, unit, value, sd), as recorded or by another job
+      before;  ///< the same keys verdict, parameters (name, unit, value, sd), stopping, sheet, as recorded or by another job
 };
 
 /// The archive's jobs, as whoever asks for them sees them. A job is named by its number, or "last". Errors:
