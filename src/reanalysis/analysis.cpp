@@ -180,29 +180,29 @@ Result<ordered_json> scores_of(const std::vector<Run>& runs, const Task& task) {
 }
 
 /// By what a check is judged beside the limits, as its station did.
-struct Yardstick {
+struct Criteria {
   std::optional<StoppingRule> stopping;  ///< nothing: a fixed number of repeats
   std::optional<Sheet> sheet;
 };
 
-Result<Yardstick> yardstick_of(const ArchivedCheck& check, const Task& task) {
-  Yardstick yardstick;
+Result<Criteria> criteria_of(const ArchivedCheck& check, const Task& task) {
+  Criteria criteria;
   if (check.stopping) {
     if (check.stopping->most < StoppingRule::kFirstLook)
       return failure(fmt::format("check {}: it was allowed {} repeats at most on record, and no station looks before {}: its row in "
                                  "clampd.checks was changed",
                                  check.id, check.stopping->most, StoppingRule::kFirstLook));
-    yardstick.stopping.emplace(task.limits.guard_band_k, check.stopping->most);
+    criteria.stopping.emplace(task.limits.guard_band_k, check.stopping->most);
   }
   // No characteristic counts a model's effects.
-  if (task.model) return yardstick;
-  yardstick.sheet = task.sheet;
-  if (task.sheet || !check.sheet) return yardstick;
+  if (task.model) return criteria;
+  criteria.sheet = task.sheet;
+  if (task.sheet || !check.sheet) return criteria;
   Result<Sheet> sheet = sheet_of(*check.sheet);
   if (!sheet)
     return failure(fmt::format("check {}: {}: {}", check.id, sheet.error().message, kGiveSheet));
-  yardstick.sheet = std::move(*sheet);
-  return yardstick;
+  criteria.sheet = std::move(*sheet);
+  return criteria;
 }
 
 ordered_json stopping_json(const ArchivedCheck& check, const std::optional<StoppingRule>& rule) {
@@ -224,8 +224,8 @@ ordered_json judged_sheet_json(const std::optional<Sheet>& sheet, const Judgemen
 Result<std::optional<std::string>> identify_check(const ArchivedCheck& check, std::vector<CollectedRun> runs,
                                                   const Task& task, const std::string& task_sha256,
                                                   const std::function<bool()>& given_up) {
-  const Result<Yardstick> yardstick = yardstick_of(check, task);
-  if (!yardstick) return tl::unexpected(yardstick.error());
+  const Result<Criteria> criteria = criteria_of(check, task);
+  if (!criteria) return tl::unexpected(criteria.error());
   const std::optional<IdentificationWorker::Outcome> outcome = identify_runs(std::move(runs), task, given_up);
   if (!outcome) return std::nullopt;
   const Estimate& joint = outcome->joint;
@@ -238,13 +238,13 @@ Result<std::optional<std::string>> identify_check(const ArchivedCheck& check, st
                     .torque_noise_Nm = task.validity.torque_noise_Nm,
                     .is_by_output_errors = task.method == Method::OutputError && !task.model,
                     .guard_band_k = task.limits.guard_band_k,
-                    .sheet = yardstick->sheet ? &*yardstick->sheet : nullptr,
-                    .stopping = yardstick->stopping ? &*yardstick->stopping : nullptr},
+                    .sheet = criteria->sheet ? &*criteria->sheet : nullptr,
+                    .stopping = criteria->stopping ? &*criteria->stopping : nullptr},
                    facts);
-  if (facts.estimated && facts.fault == FaultCause::None && yardstick->sheet &&
-      yardstick->sheet->characteristics.empty())
+  if (facts.estimated && facts.fault == FaultCause::None && criteria->sheet &&
+      criteria->sheet->characteristics.empty())
     return failure(fmt::format("check {}: it had no estimate, so that the lines of its sheet {} are not on record: {}",
-                               check.id, yardstick->sheet->file, kGiveSheet));
+                               check.id, criteria->sheet->file, kGiveSheet));
   const Judgement judgement = judge(facts, task.limits, task.validity);
   ordered_json document{
       {"schema", "clampd.reanalysis/2"},
@@ -259,8 +259,8 @@ Result<std::optional<std::string>> identify_check(const ArchivedCheck& check, st
       {"misfit",
        {{"force", number_or_null(facts.misfit_force)}, {"velocity", number_or_null(facts.misfit_velocity)}}},
       {"systematic_misfit", systematic_json(systematic)},
-      {"stopping", stopping_json(check, yardstick->stopping)},
-      {"sheet", judged_sheet_json(yardstick->sheet, judgement, systematic)},
+      {"stopping", stopping_json(check, criteria->stopping)},
+      {"sheet", judged_sheet_json(criteria->sheet, judgement, systematic)},
       {"estimate", estimate_json(joint)},
       {"limits",
        {{"file", task.limits.file}, {"revision", task.limits.revision}, {"sha256", task.limits.sha256}}},

@@ -158,7 +158,7 @@ TEST_F(Postgresql, StationsShareADatabaseAndLaterOnesNeedFewRights) {
   other.start(make_postgresql_channel(settings()));
   ASSERT_TRUE(eventually([&] { return station.pending() == 0 && other.status().connected; }))
       << other.status().error;
-  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "5");
+  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "6");
   other.stop();
   server->column("CREATE ROLE bench LOGIN");
   PostgresqlSettings poor = settings();

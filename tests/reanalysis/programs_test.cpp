@@ -8,6 +8,7 @@
 #include <pqxx/pqxx>
 
 #include "clampd/http/client.hpp"
+#include "clampd/record/file.hpp"
 #include "reanalysis/archive_fixture.hpp"
 #include "support/command.hpp"
 #include "support/eventually.hpp"
@@ -217,6 +218,31 @@ TEST_F(ArchivePrograms, AJobFromItsSubmissionToWhatChanged) {
   EXPECT_EQ(other["checks"], 2);
   EXPECT_EQ(other["parameters"].size(), 7U);
   EXPECT_NE(other["parameters"][0]["largest"], 0.0) << "two methods";
+}
+
+TEST_F(ArchivePrograms, AJobWithASheetAndOneWithAnotherLimitInIt) {
+  const std::string shipped = CLAMPD_SOURCE_DIR "/configs/sheet.toml";
+  std::string text = read_file(shipped).value();
+  text.replace(text.find("upper = 1.40"), 12, "upper = 0.10");
+  const std::string stricter = folder.write("stricter.toml", text);
+  ASSERT_EQ(clampctl("submit --serial EMB-0001 --sheet " + shipped).exit_code, 0);
+  ASSERT_EQ(clampctl("submit --serial EMB-0001 --sheet " + stricter).exit_code, 0);
+  EXPECT_EQ(worker_until_empty().exit_code, 0);
+  const auto results = nlohmann::json::parse(clampctl("results 1 --json").output)["results"];
+  EXPECT_EQ(results[0]["result"]["sheet"]["characteristics"].size(), 9U);
+  EXPECT_THAT(clampctl("compare 2 --with 1").output,
+              HasSubstr("EMB-0001         hysteresis at force_N 15000, speed_rad_s 20: pass -> fail\n"));
+  const auto comparison = nlohmann::json::parse(clampctl("compare 2 --with 1 --json").output);
+  ASSERT_EQ(comparison["sheet_lines_changed"].size(), 1U);
+  EXPECT_EQ(comparison["sheet_lines_changed"][0]["after"], "fail");
+  EXPECT_EQ(comparison["verdicts_changed"][0]["after"], "FAIL");
+  EXPECT_EQ(comparison["other_guard_bands"], 0);
+  EXPECT_EQ(comparison["unknown_stopping"], 0);
+  EXPECT_EQ(nlohmann::json::parse(clampctl("compare 1 --json").output)["sheet_lines_changed"].size(), 0U)
+      << "no line was judged before";
+  EXPECT_EQ(clampctl("submit --diagnose --sheet " + shipped).exit_code, 2);
+  EXPECT_EQ(clampctl("submit --model x.toml --sheet " + shipped).exit_code, 2);
+  EXPECT_THAT(clampctl("submit --sheet " + folder.write("odd.toml", "revision = 3")).output, HasSubstr("odd.toml"));
 }
 
 TEST_F(ArchivePrograms, AJobOfScoresIsReadAsAPopulation) {
