@@ -192,7 +192,7 @@ Result<Criteria> criteria_of(const ArchivedCheck& check, const Task& task) {
       return failure(fmt::format("check {}: it was allowed {} repeats at most on record, and no station looks before {}: its row in "
                                  "clampd.checks was changed",
                                  check.id, check.stopping->most, StoppingRule::kFirstLook));
-    criteria.stopping.emplace(task.limits.guard_band_k, check.stopping->most);
+    criteria.stopping.emplace(task.limits.guard_band_k, check.stopping->most, check.chose_runs);
   }
   // No characteristic counts a model's effects.
   if (task.model) return criteria;
@@ -291,6 +291,7 @@ Result<std::vector<CollectedRun>> unpack_runs(const ArchivedCheck& check) {
     if (!run) return failure(fmt::format("check {}: {}", check.id, run.error().message));
     runs.push_back({.run = std::move(run->run),
                     .repeat = static_cast<std::uint16_t>(runs.size()),
+                    .trajectory = archived.trajectory,
                     .tracking_rms_N = archived.tracking_rms_N,
                     .tracking_max_N = archived.tracking_max_N});
   }

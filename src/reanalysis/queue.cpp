@@ -41,7 +41,7 @@ SELECT serial, verdict, reason, fault, repeats, COALESCE((timing->>'skipped')::b
   COALESCE((timing->>'lost_samples')::bigint, 0), COALESCE(tracking_rms_n, 0),
   (tare->>'force_sd_N')::double precision, (tare->>'velocity_sd_rad_s')::double precision,
   stopping IS NOT NULL, (stopping->>'most')::bigint, (stopping->>'coverage_factor')::double precision,
-  sheet->>'file', sheet->>'revision', sheet->>'sha256'
+  sheet->>'file', sheet->>'revision', sheet->>'sha256', COALESCE(stopping->'trajectories', '[]') <> '[]'
 FROM clampd.checks WHERE id = $1)sql";
 
 constexpr const char* kSheet = R"sql(
@@ -52,7 +52,8 @@ WHERE id = $1 ORDER BY position)sql";
 
 /// Raw runs stand in the partition of their check's start.
 constexpr const char* kRuns = R"sql(
-SELECT r.name, r.sha256, COALESCE(r.tracking_rms_n, 0), COALESCE(r.tracking_max_n, 0), w.data
+SELECT r.name, r.sha256, COALESCE(r.tracking_rms_n, 0), COALESCE(r.tracking_max_n, 0), w.data,
+  COALESCE((c.stopping->'followed'->>r.position::int)::int, 0)
 FROM clampd.runs r JOIN clampd.checks c ON c.id = r.check_id
 LEFT JOIN clampd.raw_runs w ON w.sha256 = r.sha256 AND w.recorded = c.started
 WHERE r.check_id = $1 ORDER BY r.position)sql";
@@ -189,6 +190,7 @@ Result<ArchivedCheck> Queue::check(const std::string& id) {
         if (!row[9].is_null()) check.tare_velocity_sd_rad_s = row[9].as<double>();
         check.is_stopping_known = row[10].as<bool>();
         if (!row[11].is_null()) check.stopping = {row[11].as<std::uint32_t>(), row[12].as<double>(0.0), {}};
+        check.chose_runs = row[16].as<bool>();
         if (!row[13].is_null()) check.sheet = recorded_sheet(transaction, id, row);
         for (const pqxx::row& run : transaction.exec_params(kRuns, id)) {
           ArchivedRun& archived = check.runs.emplace_back();
@@ -197,6 +199,7 @@ Result<ArchivedCheck> Queue::check(const std::string& id) {
           archived.tracking_rms_N = run[2].as<double>();
           archived.tracking_max_N = run[3].as<double>();
           if (!run[4].is_null()) archived.data = pqxx::binarystring(run[4]).str();
+          archived.trajectory = static_cast<std::uint8_t>(run[5].as<int>());
         }
       })
       .map([&] { return std::move(check); });

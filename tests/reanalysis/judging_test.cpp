@@ -126,6 +126,24 @@ TEST_F(ArchiveJudging, OfAnUnchangedTaskIsThatOfTheStation) {
   EXPECT_EQ(comparison.unknown_stopping, 0);
 }
 
+/// Guard bands that are wider since runs were chosen, and a misfit that only the repeats of one motion show.
+TEST_F(ArchiveJudging, OfRunsAlongSeveralTrajectoriesIsThatOfTheStationToo) {
+  sim::PlantConfiguration near = bench::plant(13);
+  near.brake.theta[TC] = 0.1526;  // its upper limit is 0.1534
+  const CheckRecord check = automatic_check(3, near, support::shipped_limits(), std::nullopt);
+  ASSERT_THAT(check.stopping->followed, ::testing::Contains(1));
+  publish({check});
+  const json found = judged(task()).at(0);
+  EXPECT_EQ(found["verdict"], to_string(check.verdict)) << found["reason"];
+  EXPECT_EQ(found["marginal"], check.marginal);
+  EXPECT_EQ(found["stopping"]["coverage_factor"], check.stopping->coverage_factor);
+  EXPECT_EQ(found["systematic_misfit"]["p_value"], check.systematic->p_value);
+  for (std::size_t k = 0; k < check.parameters.size(); ++k) {
+    EXPECT_EQ(found["parameters"][k]["value"], check.parameters[k].value) << check.parameters[k].name;
+    EXPECT_NEAR(found["parameters"][k]["sd"], check.parameters[k].sd, 1e-12) << check.parameters[k].name;
+  }
+}
+
 /// A limit between the two guard bands: the station looked at it until the most that was allowed.
 TEST_F(ArchiveJudging, KeepsAParameterMarginalThatIsSoByTheWiderGuardBand) {
   // Of its noise no look at fewer runs would end the check.

@@ -20,6 +20,7 @@ struct ArchivedRun {
   std::optional<std::string> data;  ///< that file, compressed; nothing: it is not there (any more)
   double tracking_rms_N = 0.0;
   double tracking_max_N = 0.0;
+  std::uint8_t trajectory = 0;  ///< of the check's, which it followed
 };
 
 /// A check as the archive holds it, as far as its verdict depends on it.
@@ -32,6 +33,7 @@ struct ArchivedCheck {
   std::uint32_t repeats = 0;
   /// Nothing: their number was fixed, or is not known to have been.
   std::optional<StoppingRecord> stopping;
+  bool chose_runs = false;        ///< by what was in doubt; then guard bands are wider
   bool is_stopping_known = true;  ///< false: published by a version that did not say it
   /// What it was asked, not what came of it; without lines where there was no estimate. Nothing: no sheet.
   std::optional<SheetRecord> sheet;
