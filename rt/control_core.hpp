@@ -201,7 +201,7 @@ class BasicControlCore {
     supervisor_.end_samples();
     start_if_requested(now_ns);
 
-    const TorqueCommand command = safe_command();
+    const DriveCommand command = safe_command();
     const bool handed_over = port_.send(command, now_ns);
     supervisor_.sent(handed_over, command.torque_Nm);
     log({samples.data(), received}, command.torque_Nm);
@@ -214,7 +214,7 @@ class BasicControlCore {
   /// The loop's last act: drive off, a running check counted as ended by that, a start that waits refused.
   CLAMPD_REALTIME void shutdown(std::int64_t now_ns) noexcept {
     supervisor_.raise(FaultCause::StationEnded);
-    port_.send(TorqueCommand{}, now_ns);
+    port_.send(DriveCommand{}, now_ns);
     port_.end(now_ns);
     end_check_on_fault();
     if (requests_.plan.load(std::memory_order_acquire) != nullptr) refuse(StartRefusal::Stopped);
@@ -388,15 +388,15 @@ class BasicControlCore {
 
   // The last word on what leaves the station: whatever happened above, nothing but a finite, limited torque
   // of a running check passes.
-  TorqueCommand safe_command() noexcept {
+  DriveCommand safe_command() noexcept {
     if (supervisor_.sequence_runs()) {
       const double limit_Nm = std::max(0.0, std::min(settings_.torque_limit_Nm, plan_->torque_limit_Nm));
       const double torque_Nm = std::clamp(torque_Nm_, -limit_Nm, limit_Nm);
-      if (std::isfinite(torque_Nm)) return TorqueCommand{torque_Nm, true};
+      if (std::isfinite(torque_Nm)) return DriveCommand{torque_Nm, true};
       supervisor_.raise(FaultCause::NonFinite);
     }
     torque_Nm_ = 0.0;
-    return TorqueCommand{0.0, supervisor_.state() == StationState::Armed};
+    return DriveCommand{0.0, supervisor_.state() == StationState::Armed};
   }
 
   void log(std::span<Sample* const> samples, double torque_command_Nm) noexcept {

@@ -11,7 +11,7 @@
 namespace clampd::can {
 
 /// A simulated brake's side of the bus. `Brake` has `BrakeFeedback sample() noexcept` and
-/// `void command(const TorqueCommand&) noexcept`, and its own watchdog.
+/// `void command(const DriveCommand&) noexcept`, and its own watchdog.
 ///
 /// When the brake's own link fails (down, gone, bus-off) it goes to zero torque at its next sample without
 /// waiting for the watchdog, reports a fault, and stays so until a command with enable = 0 has come: torque
@@ -36,7 +36,7 @@ class BrakeNode {
   /// One sampling instant: latches the newest valid command, samples, sends the feedback. Returns what was
   /// sampled.
   CLAMPD_REALTIME BrakeFeedback tick(std::int64_t now_ns, WireFault fault = WireFault::None) noexcept {
-    std::optional<TorqueCommand> newest;
+    std::optional<DriveCommand> newest;
     TimedFrame received;
     for (int frames = 0; frames < kFramesPerTick; ++frames) {
       if (bus_.receive({&received, 1}, now_ns) == 0) break;
@@ -48,13 +48,13 @@ class BrakeNode {
     const bool link_lost = health.link != LinkState::Up && health.link != LinkState::ErrorPassive;
     const bool failed = link_lost || health.bus_off_events != bus_off_events_;
     bus_off_events_ = health.bus_off_events;
-    if (asleep_) newest = TorqueCommand{0.0, false};
+    if (asleep_) newest = DriveCommand{0.0, false};
     if (failed) {
       if (!inhibited_) brake_.command({0.0, false});
       inhibited_ = true;
     } else if (newest) {
       if (!newest->enable) inhibited_ = false;
-      brake_.command(inhibited_ ? TorqueCommand{0.0, false} : *newest);
+      brake_.command(inhibited_ ? DriveCommand{0.0, false} : *newest);
     }
     BrakeFeedback reading = brake_.sample();
     reading.brake_fault = reading.brake_fault || inhibited_;

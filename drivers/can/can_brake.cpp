@@ -27,7 +27,7 @@ std::size_t CanBrake::receive(std::span<BrakeFeedback> out, std::int64_t now_ns)
   return filled;
 }
 
-bool CanBrake::send(const TorqueCommand& command, std::int64_t now_ns) noexcept {
+bool CanBrake::send(const DriveCommand& command, std::int64_t now_ns) noexcept {
   wake(now_ns);
   last_ = command;
   return bus_.send(protocol_.command(command), now_ns);

@@ -19,7 +19,7 @@ class CanBrake final : public BrakePort {
   CLAMPD_REALTIME std::size_t receive(std::span<BrakeFeedback> out, std::int64_t now_ns) noexcept override;
   /// Before the command, the next start-up frame if one is due. A brake that has sent no sample for a second
   /// is woken anew, from the first one on.
-  CLAMPD_REALTIME bool send(const TorqueCommand& command, std::int64_t now_ns) noexcept override;
+  CLAMPD_REALTIME bool send(const DriveCommand& command, std::int64_t now_ns) noexcept override;
   CLAMPD_REALTIME void repeat(std::int64_t now_ns) noexcept override;
   CLAMPD_REALTIME void end(std::int64_t now_ns) noexcept override;
   CLAMPD_REALTIME PortHealth health() const noexcept override;
@@ -30,7 +30,7 @@ class CanBrake final : public BrakePort {
   FrameBus& bus_;
   StationProtocol protocol_;
   FrameSequence startup_, shutdown_;
-  TorqueCommand last_;                    ///< sent
+  DriveCommand last_;                    ///< sent
   std::optional<std::int64_t> begin_ns_;  ///< frames that came before are not looked at
   std::int64_t awake_ns_ = 0;             ///< when the latest sample came or the latest start-up frame went
 };

@@ -196,7 +196,7 @@ class CodecBuilder {
   Result<ProtocolCodec> build() {
     const Result<void> outcome =
         add_command()
-            .and_then([&] { return check_torque_command(); })
+            .and_then([&] { return check_setpoint(); })
             .and_then([&] { return add_feedback(); })
             .and_then([&] { return choose_multiplexors(); })
             .and_then([&] { return add_clock_tick(); })
@@ -232,33 +232,50 @@ class CodecBuilder {
     return outcome;
   }
 
+  bool is_told_velocity() const { return !mapping_.velocity_command.empty(); }
+  const std::string& setpoint_name() const {
+    return is_told_velocity() ? mapping_.velocity_command : mapping_.torque_command;
+  }
+
+  Result<const Message*> setpoint_field() {
+    if (!is_told_velocity())
+      return command_field("torque command", mapping_.torque_command, kTorqueUnits, codec_.setpoint);
+    if (!mapping_.torque_command.empty())
+      return failure(fmt::format(
+          "both a torque command, {}, and a velocity command, {}, are mapped, but a brake is told one of the "
+          "two: leave the other one empty, torque_command = \"\" for a brake that is told its speed",
+          mapping_.torque_command, mapping_.velocity_command));
+    codec_.commanded = CommandedQuantity::Velocity;
+    return command_field("velocity command", mapping_.velocity_command, kVelocityUnits, codec_.setpoint);
+  }
+
   Result<void> add_command() {
-    const auto torque =
-        command_field("torque command", mapping_.torque_command, kTorqueUnits, codec_.torque_command);
-    if (!torque) return failure(torque.error().message);
+    const auto setpoint = setpoint_field();
+    if (!setpoint) return failure(setpoint.error().message);
     const auto enable = command_field("enable", mapping_.enable, kFlagUnits, codec_.enable);
     if (!enable) return failure(enable.error().message);
-    if (*torque != *enable)
-      return failure(fmt::format("{} and {} must be signals of one message of {}", mapping_.torque_command,
+    if (*setpoint != *enable)
+      return failure(fmt::format("{} and {} must be signals of one message of {}", setpoint_name(),
                                  mapping_.enable, database_.file));
-    const auto layout = frame_layout(database_, **torque, mapping_);
+    const auto layout = frame_layout(database_, **setpoint, mapping_);
     if (!layout) return failure(layout.error().message);
     codec_.command = *layout;
-    command_message_ = *torque;
+    command_message_ = *setpoint;
     return {};
   }
 
-  Result<void> check_torque_command() const {
-    const Field& torque = codec_.torque_command;
-    if (!torque.plausible(0.0) || !(torque.minimum() < 0.0) || !(torque.maximum() > 0.0))
-      return failure(fmt::format("{} in {} must have a range that includes torques of both signs",
-                                 mapping_.torque_command, database_.file));
+  Result<void> check_setpoint() const {
+    const Field& setpoint = codec_.setpoint;
+    const std::string_view quantity = is_told_velocity() ? "velocity" : "torque";
+    if (!setpoint.plausible(0.0) || !(setpoint.minimum() < 0.0) || !(setpoint.maximum() > 0.0))
+      return failure(fmt::format("{} in {} must have a range that includes a {} of either sign",
+                                 setpoint_name(), database_.file, quantity));
     Frame probe = codec_.command.blank();
-    torque.encode(probe, 0.0);
-    if (std::abs(torque.decode(probe)) > 0.01 * std::abs(torque.scale()))
+    setpoint.encode(probe, 0.0);
+    if (std::abs(setpoint.decode(probe)) > 0.01 * std::abs(setpoint.scale()))
       return failure(
-          fmt::format("{} in {} cannot express zero torque: its offset must be a multiple of its scale",
-                      mapping_.torque_command, database_.file));
+          fmt::format("{} in {} cannot express a {} of zero: its offset must be a multiple of its scale",
+                      setpoint_name(), database_.file, quantity));
     return {};
   }
 

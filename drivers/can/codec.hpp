@@ -14,6 +14,7 @@
 #include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/base/result.hpp"
+#include "clampd/ports/brake_port.hpp"
 #include "drivers/can/dbc.hpp"
 #include "drivers/can/field.hpp"
 #include "drivers/can/frame.hpp"
@@ -25,7 +26,9 @@ namespace clampd::can {
 /// Where in the DBC file what stands, as "Message.Signal". The defaults fit configs/brake.dbc.
 /// Every message named here must hold the signals `counter` and `crc`, shaped as the protection wants them.
 struct ProtocolMapping {
+  /// Exactly one of the two: what the brake is told. The other is empty.
   std::string torque_command = "BrakeCommand.TorqueCommand";
+  std::string velocity_command;
   std::string enable = "BrakeCommand.Enable";
   std::string force = "BrakeFeedback.Force";
   std::string velocity = "BrakeFeedback.Velocity";
@@ -91,7 +94,8 @@ struct FeedbackField {
 /// Everything the protocol needs to know of the frames; immutable once built.
 struct ProtocolCodec {
   FrameLayout command;
-  Field torque_command;
+  CommandedQuantity commanded = CommandedQuantity::Torque;
+  Field setpoint;  ///< of what is commanded, in N m or rad/s
   Field enable;
 
   std::array<FrameLayout, kMaxFeedbackFrames> feedback;
@@ -116,7 +120,7 @@ struct ProtocolCodec {
   /// Checks the mapping against the database. Errors name the DBC file, message and signal, and what is
   /// needed: a name that is not there, a message with defects or of a size that no frame has, multiplexed
   /// signals of one message that exclude each other, an unknown unit, a counter or checksum of the wrong
-  /// shape, a command or clock that cannot express what the loop needs, a start-up or shut-down frame that
+  /// shape, both or none of torque and velocity command, a command or clock that cannot express what the loop needs, a start-up or shut-down frame that
   /// cannot be made.
   static Result<ProtocolCodec> build(const Database& database, const ProtocolMapping& mapping);
 

@@ -103,7 +103,10 @@ std::vector<Watched> watch(const Database& database, const ProtocolCodec& codec)
     watched.fields.emplace_back(watched.finding.signals.size(), field);
     watched.finding.signals.push_back({name, unit});
   };
-  add(all[0], "torque command", "N m", codec.torque_command);
+  if (codec.commanded == CommandedQuantity::Velocity)
+    add(all[0], "velocity command", "rad/s", codec.setpoint);
+  else
+    add(all[0], "torque command", "N m", codec.setpoint);
   for (const Named& signal : kSignals) {
     const FeedbackField& field = codec.*signal.field;
     if (field.present) add(all[1 + field.frame], signal.name, signal.unit, field.field);

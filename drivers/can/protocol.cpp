@@ -50,11 +50,14 @@ StationProtocol::StationProtocol(const ProtocolCodec& codec)
   if (counter_values_ > 0) alive_.fill(AliveCheck(counter_values_, codec.feedback_cycle_ns()));
 }
 
-Frame StationProtocol::command(const TorqueCommand& command) noexcept {
-  const bool valid = std::isfinite(command.torque_Nm);
+Frame StationProtocol::command(const DriveCommand& command) noexcept {
+  const bool velocity = codec_.commanded == CommandedQuantity::Velocity;
+  const double setpoint = velocity ? command.velocity_rad_s : command.torque_Nm;
+  // A torque is never sent where the brake takes it for a speed.
+  const bool enable = command.enable && command.commanded == codec_.commanded && std::isfinite(setpoint);
   Frame frame = codec_.command.blank();
-  codec_.torque_command.encode(frame, valid && command.enable ? command.torque_Nm : 0.0);
-  codec_.enable.set_raw(frame, valid && command.enable ? 1 : 0);
+  codec_.setpoint.encode(frame, enable ? setpoint : 0.0);
+  codec_.enable.set_raw(frame, enable ? 1 : 0);
   const FrameProtection& protection = codec_.command.protection;
   protection.protect(frame, command_counter_);
   command_counter_ = next_count(command_counter_, protection.counter_values());
@@ -236,7 +239,7 @@ BrakeProtocol::BrakeProtocol(const ProtocolCodec& codec) : codec_{codec} {
   if (values > 0) alive_ = AliveCheck(values, codec.command_cycle_ns());
 }
 
-std::optional<TorqueCommand> BrakeProtocol::accept(const Frame& frame, std::int64_t arrival_ns) noexcept {
+std::optional<DriveCommand> BrakeProtocol::accept(const Frame& frame, std::int64_t arrival_ns) noexcept {
   if (!codec_.command.is_meant_by(frame)) return std::nullopt;
   const FrameProtection& protection = codec_.command.protection;
   if (!codec_.command.intact(frame)) {
@@ -250,10 +253,12 @@ std::optional<TorqueCommand> BrakeProtocol::accept(const Frame& frame, std::int6
       return std::nullopt;
     }
   }
-  TorqueCommand command;
-  command.torque_Nm = codec_.torque_command.decode(frame);
+  DriveCommand command;
+  command.commanded = codec_.commanded;
+  const double setpoint = codec_.setpoint.decode(frame);
+  (codec_.commanded == CommandedQuantity::Velocity ? command.velocity_rad_s : command.torque_Nm) = setpoint;
   command.enable = codec_.enable.raw(frame) != 0;
-  if (!codec_.torque_command.plausible(command.torque_Nm)) {
+  if (!codec_.setpoint.plausible(setpoint)) {
     ++counts_.implausible;
     return std::nullopt;
   }

@@ -59,7 +59,7 @@ class StationProtocol {
   explicit StationProtocol(const ProtocolCodec& codec);
 
   /// The next command frame. A torque that is not finite goes out as a disabled zero torque.
-  CLAMPD_REALTIME Frame command(const TorqueCommand& command) noexcept;
+  CLAMPD_REALTIME Frame command(const DriveCommand& command) noexcept;
 
   /// Takes one received frame. When it completes a sample (all feedback frames with one counter value;
   /// without a counter, within half a cycle of the first), that sample: `sample_index` counts from 0 and
@@ -122,7 +122,7 @@ class BrakeProtocol {
   explicit BrakeProtocol(const ProtocolCodec& codec);
 
   /// Takes one received frame; the command in it, if it is one and passes CRC, counter and range.
-  CLAMPD_REALTIME std::optional<TorqueCommand> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
+  CLAMPD_REALTIME std::optional<DriveCommand> accept(const Frame& frame, std::int64_t arrival_ns) noexcept;
 
   /// Encodes one sample into `out` (room for kMaxFeedbackFrames) and returns the number of frames. Of
   /// `reading`, the index and arrival time are not sent.

@@ -41,7 +41,7 @@ SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration, int samp
       state_.force_N);
 }
 
-void SimulatedBrake::command(const TorqueCommand& command) noexcept {
+void SimulatedBrake::command(const DriveCommand& command) noexcept {
   newest_ = command;
   fresh_ = true;
 }

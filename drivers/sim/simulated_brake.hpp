@@ -39,7 +39,7 @@ class SimulatedBrake {
   explicit SimulatedBrake(const PlantConfiguration& configuration, int samples_per_period = 1);
 
   /// A valid command arrived; it acts from the next sample on if no newer one comes.
-  void command(const TorqueCommand& command) noexcept;
+  void command(const DriveCommand& command) noexcept;
 
   /// Takes the sample that is due now and advances the brake by one millisecond.
   BrakeFeedback sample() noexcept;
@@ -92,7 +92,7 @@ class SimulatedBrake {
   BrakeFeedback unspoiled_;
   State state_;
   Truth truth_;
-  TorqueCommand newest_;
+  DriveCommand newest_;
   bool fresh_ = false;  ///< a command came since the last sample
   std::int64_t silent_samples_ = 0;
   bool enabled_ = false;

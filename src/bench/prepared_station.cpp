@@ -30,7 +30,8 @@ struct MappingRole {
 };
 
 constexpr std::array kMappingRoles{
-    MappingRole{"torque_command", &can::ProtocolMapping::torque_command},
+    MappingRole{"torque_command", &can::ProtocolMapping::torque_command, false},
+    MappingRole{"velocity_command", &can::ProtocolMapping::velocity_command, false},
     MappingRole{"enable", &can::ProtocolMapping::enable},
     MappingRole{"force", &can::ProtocolMapping::force},
     MappingRole{"velocity", &can::ProtocolMapping::velocity},
@@ -97,6 +98,11 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
                                  role, roles));
     }
   }
+  if (mapping.torque_command.empty() && mapping.velocity_command.empty())
+    return failure(
+        fmt::format("{}: [can.mapping] torque_command is empty, and there is no velocity_command, but a "
+                    "brake has to be told one of the two: name the signal of the DBC file that has it",
+                    configuration.file));
   return mapping;
 }
 

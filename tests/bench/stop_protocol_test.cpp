@@ -78,13 +78,13 @@ class Tap final : public BrakePort {
   std::size_t receive(std::span<BrakeFeedback> out, std::int64_t now_ns) noexcept override {
     return port_.receive(out, now_ns);
   }
-  bool send(const TorqueCommand& command, std::int64_t now_ns) noexcept override {
+  bool send(const DriveCommand& command, std::int64_t now_ns) noexcept override {
     last = command;
     return port_.send(command, now_ns);
   }
   PortHealth health() const noexcept override { return port_.health(); }
 
-  TorqueCommand last;
+  DriveCommand last;
 
  private:
   BrakePort& port_;

@@ -75,7 +75,7 @@ class Recorder final : public BrakePort {
     tape.push_back({out[0], now_ns});
     return 1;
   }
-  bool send(const TorqueCommand& command, std::int64_t) noexcept override {
+  bool send(const DriveCommand& command, std::int64_t) noexcept override {
     brake_.command(command);
     return true;
   }
@@ -97,7 +97,7 @@ class ReplayedCheck::Player final : public BrakePort {
     out[0] = tape[next++].feedback;
     return 1;
   }
-  bool send(const TorqueCommand&, std::int64_t) noexcept override { return true; }
+  bool send(const DriveCommand&, std::int64_t) noexcept override { return true; }
   PortHealth health() const noexcept override { return {}; }
 
   const std::vector<Exchange> tape;

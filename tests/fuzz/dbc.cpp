@@ -41,10 +41,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   CLAMPD_ASSERT(codec->feedback_frames > 0 && codec->feedback_frames <= kMaxFeedbackFrames);
   Frame command = codec->command.blank();
   for (const double torque_Nm : {1.5, -3.0, 1e300, std::nan("")}) {
-    codec->torque_command.encode(command, torque_Nm);
+    codec->setpoint.encode(command, torque_Nm);
     codec->command.protection.protect(command, 1);
     CLAMPD_ASSERT(codec->command.intact(command) && codec->command.protection.counter_of(command) == 1);
-    CLAMPD_ASSERT(std::isfinite(codec->torque_command.decode(command)));
+    CLAMPD_ASSERT(std::isfinite(codec->setpoint.decode(command)));
   }
   // A brake that speaks it, its clock about to wrap.
   BrakeProtocol brake(*codec);

@@ -35,7 +35,7 @@ class ToyPort final : public BrakePort {
     return count;
   }
 
-  bool send(const TorqueCommand& command, std::int64_t) noexcept override {
+  bool send(const DriveCommand& command, std::int64_t) noexcept override {
     ++sends;
     attempted = command;
     if (command.enable && command.torque_Nm != 0.0) ++driven_sends;
@@ -54,8 +54,8 @@ class ToyPort final : public BrakePort {
   bool frozen_clock = false;
   bool send_fails = false;
   bool drive_works = true;
-  TorqueCommand last;       ///< that reached the brake
-  TorqueCommand attempted;  ///< that the station wanted to send
+  DriveCommand last;       ///< that reached the brake
+  DriveCommand attempted;  ///< that the station wanted to send
   std::uint64_t sends = 0;
   std::uint64_t driven_sends = 0;
 };

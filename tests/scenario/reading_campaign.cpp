@@ -35,7 +35,7 @@ class DirectPort final : public BrakePort {
     out[0].arrival_time_ns = now_ns;
     return 1;
   }
-  bool send(const TorqueCommand& command, std::int64_t) noexcept override {
+  bool send(const DriveCommand& command, std::int64_t) noexcept override {
     brake.command(command);
     return true;
   }

@@ -25,10 +25,18 @@ struct BrakeFeedback {
   bool brake_fault = false;       ///< the brake reports an internal fault
 };
 
+/// What a brake is told of its motor.
+enum class CommandedQuantity : std::uint8_t {
+  Torque,
+  Velocity,  ///< the brake's own loop then makes the torque
+};
+
 /// What the station asks of the brake for the brake's next sample period.
-struct TorqueCommand {
+struct DriveCommand {
   double torque_Nm = 0.0;
-  bool enable = false;  ///< false: the brake shall output zero torque whatever torque_Nm says
+  bool enable = false;          ///< false: the brake shall output zero torque, whatever else stands here
+  double velocity_rad_s = 0.0;  ///< in place of the torque if `commanded` says so
+  CommandedQuantity commanded = CommandedQuantity::Torque;
 };
 
 enum class LinkState : std::uint8_t {
@@ -72,7 +80,7 @@ class BrakePort {
   CLAMPD_REALTIME virtual std::size_t receive(std::span<BrakeFeedback> out, std::int64_t now_ns) noexcept = 0;
 
   /// Sends one command; never blocks. False if it could not be handed to the link.
-  CLAMPD_REALTIME virtual bool send(const TorqueCommand& command, std::int64_t now_ns) noexcept = 0;
+  CLAMPD_REALTIME virtual bool send(const DriveCommand& command, std::int64_t now_ns) noexcept = 0;
 
   /// Sends the last command again, if there was one; for a brake that wants them more often than the loop
   /// decides.

@@ -21,9 +21,9 @@ struct Instrument {
 };
 
 /// What a signal or frame of the DBC file can be to the station.
-inline constexpr std::array<std::string_view, 12> kMappingRoles{
-    "torque_command", "enable",  "force",    "velocity", "torque",  "position",
-    "sample_clock",   "enabled", "watchdog", "fault",    "counter", "crc"};
+inline constexpr std::array<std::string_view, 13> kMappingRoles{
+    "torque_command", "velocity_command", "enable",   "force", "velocity", "torque", "position",
+    "sample_clock",   "enabled",          "watchdog", "fault", "counter",  "crc"};
 
 /// What proves that a frame is whole and the one that was meant, as the brake's maker describes it.
 struct CanProtection {

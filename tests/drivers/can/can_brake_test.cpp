@@ -21,7 +21,7 @@ namespace {
 /// A motor without a brake: reports the torque it was told, counts what it was told.
 class ToyBrake {
  public:
-  void command(const TorqueCommand& command) noexcept {
+  void command(const DriveCommand& command) noexcept {
     newest_ = command;
     ++commands_;
   }
@@ -38,7 +38,7 @@ class ToyBrake {
   int commands() const { return commands_; }
 
  private:
-  TorqueCommand newest_;
+  DriveCommand newest_;
   int commands_ = 0;
   std::int64_t samples_ = 0;
 };
@@ -46,7 +46,7 @@ class ToyBrake {
 class Bench : public ::testing::Test {
  protected:
   /// One millisecond: the brake samples on its grid, the station answers half a period later.
-  std::optional<BrakeFeedback> step(const TorqueCommand& command, WireFault fault = WireFault::None) {
+  std::optional<BrakeFeedback> step(const DriveCommand& command, WireFault fault = WireFault::None) {
     acting_ = node_.tick(now_ns_, fault);
     now_ns_ += kPeriod_ns / 2;
     std::array<BrakeFeedback, 4> samples;
@@ -56,7 +56,7 @@ class Bench : public ::testing::Test {
     return count == 0 ? std::nullopt : std::optional{samples[count - 1]};
   }
 
-  void run(int ticks, const TorqueCommand& command, WireFault fault = WireFault::None) {
+  void run(int ticks, const DriveCommand& command, WireFault fault = WireFault::None) {
     for (int i = 0; i < ticks; ++i) step(command, fault);
   }
 

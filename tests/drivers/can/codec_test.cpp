@@ -91,12 +91,12 @@ TEST(Field, KeepsToTheRangeAndRefusesNan) {
   const auto codec = ProtocolCodec::build(database, {});
   ASSERT_TRUE(codec) << codec.error().message;
   Frame frame = codec->command.blank();
-  codec->torque_command.encode(frame, 100.0);
-  EXPECT_DOUBLE_EQ(codec->torque_command.decode(frame), 3.2);
-  codec->torque_command.encode(frame, -std::numeric_limits<double>::infinity());
-  EXPECT_DOUBLE_EQ(codec->torque_command.decode(frame), -3.2);
-  codec->torque_command.encode(frame, std::nan(""));
-  EXPECT_DOUBLE_EQ(codec->torque_command.decode(frame), 0.0);
+  codec->setpoint.encode(frame, 100.0);
+  EXPECT_DOUBLE_EQ(codec->setpoint.decode(frame), 3.2);
+  codec->setpoint.encode(frame, -std::numeric_limits<double>::infinity());
+  EXPECT_DOUBLE_EQ(codec->setpoint.decode(frame), -3.2);
+  codec->setpoint.encode(frame, std::nan(""));
+  EXPECT_DOUBLE_EQ(codec->setpoint.decode(frame), 0.0);
   EXPECT_TRUE(codec->force.field.plausible(45000.0));
   EXPECT_FALSE(codec->force.field.plausible(45001.0));
   EXPECT_FALSE(codec->force.field.plausible(std::nan("")));
@@ -208,11 +208,78 @@ TEST(Codec, ErrorsSayWhatTheMappingNeeds) {
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeClock").attributes["E2EDataId"] = "70000"; }),
               HasSubstr("E2EDataId is '70000'"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeCommand", "TorqueCommand").minimum = 0.0; }),
-              HasSubstr("torques of both signs"));
+              HasSubstr("a torque of either sign"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeCommand", "TorqueCommand").offset = 0.00005; }),
-              HasSubstr("cannot express zero torque"));
+              HasSubstr("cannot express a torque of zero"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeClock", "SampleClock").bits = 8; }),
               HasSubstr("wrap after 16 ms"));
+}
+
+/// The shipped brake, told its speed in place of its torque.
+Database velocity_database() {
+  Database database = brake_database();
+  Signal& command = edit(database, "BrakeCommand", "TorqueCommand");
+  command.name = "VelocityCommand";
+  command.unit = "rpm";
+  command.scale = 0.5;
+  command.minimum = -6000.0;
+  command.maximum = 6000.0;
+  return database;
+}
+
+TEST(Codec, ABrakeIsToldItsTorqueOrItsSpeedAndNeverTheOtherOne) {
+  ProtocolMapping mapping;
+  mapping.torque_command = "";
+  mapping.velocity_command = "BrakeCommand.VelocityCommand";
+  const auto codec = ProtocolCodec::build(velocity_database(), mapping);
+  ASSERT_TRUE(codec) << codec.error().message;
+  EXPECT_EQ(codec->commanded, CommandedQuantity::Velocity);
+  StationProtocol station(*codec);
+  BrakeProtocol brake(*codec);
+  const auto understood = [&](const DriveCommand& command) {
+    return brake.accept(station.command(command), 0).value();
+  };
+  constexpr auto kVelocity = CommandedQuantity::Velocity;
+  const DriveCommand told =
+      understood({.enable = true, .velocity_rad_s = -123.4, .commanded = kVelocity});
+  EXPECT_TRUE(told.enable);
+  EXPECT_EQ(told.commanded, kVelocity);
+  EXPECT_NEAR(told.velocity_rad_s, -123.4, 0.25 * M_PI / 30.0);
+  EXPECT_EQ(told.torque_Nm, 0.0);
+
+  const DriveCommand refused[] = {
+      {.torque_Nm = 1.5, .enable = true},  // a torque, to a brake that would take it for a speed
+      {.enable = false, .velocity_rad_s = 50.0, .commanded = kVelocity},
+      {.enable = true, .velocity_rad_s = std::nan(""), .commanded = kVelocity}};
+  for (const DriveCommand& command : refused) {
+    EXPECT_FALSE(understood(command).enable);
+    EXPECT_EQ(understood(command).velocity_rad_s, 0.0);
+  }
+
+  StationProtocol to_torque(brake_codec());
+  BrakeProtocol by_torque(brake_codec());
+  const auto other = by_torque.accept(
+      to_torque.command({.enable = true, .velocity_rad_s = 50.0, .commanded = kVelocity}), 0);
+  ASSERT_TRUE(other);
+  EXPECT_FALSE(other->enable);
+  EXPECT_EQ(other->torque_Nm, 0.0);
+}
+
+TEST(Codec, ErrorsSayWhatASpeedCommandNeeds) {
+  ProtocolMapping mapping;
+  mapping.velocity_command = "BrakeCommand.VelocityCommand";
+  EXPECT_THAT(build_error(velocity_database(), mapping),
+              HasSubstr("both a torque command, BrakeCommand.TorqueCommand, and a velocity command"));
+  mapping.torque_command = "";
+  Database database = velocity_database();
+  edit(database, "BrakeCommand", "VelocityCommand").unit = "Nm";
+  EXPECT_THAT(build_error(database, mapping), HasSubstr("velocity command: BrakeCommand.VelocityCommand in"));
+  database = velocity_database();
+  edit(database, "BrakeCommand", "VelocityCommand").minimum = 0.0;
+  EXPECT_THAT(build_error(database, mapping), HasSubstr("a velocity of either sign"));
+  database = velocity_database();
+  edit(database, "BrakeCommand", "VelocityCommand").offset = 0.2;
+  EXPECT_THAT(build_error(database, mapping), HasSubstr("cannot express a velocity of zero"));
 }
 
 constexpr const char* kMultiplexedFrames = R"(VERSION ""

@@ -113,7 +113,7 @@ TEST(FrameSequence, RefusesWhatCannotBeSent) {
 /// A brake that turns as it is told.
 class Follower {
  public:
-  void command(const TorqueCommand& command) noexcept { command_ = command; }
+  void command(const DriveCommand& command) noexcept { command_ = command; }
   BrakeFeedback sample() noexcept {
     BrakeFeedback reading;
     reading.brake_time_ns = time_ns_ += kPeriod_ns;
@@ -123,7 +123,7 @@ class Follower {
   bool enabled() const noexcept { return command_.enable; }
 
  private:
-  TorqueCommand command_;
+  DriveCommand command_;
   std::int64_t time_ns_ = 0;
 };
 

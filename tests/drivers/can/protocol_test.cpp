@@ -322,7 +322,7 @@ TEST_F(Protocol, TheBrakeRefusesBadCommands) {
   EXPECT_FALSE(brake_.accept(corrupt, now_ns_ += kPeriod_ns));
   EXPECT_EQ(brake_.counts().crc_errors, 1U);
   Frame beyond = station_.command({1.0, true});
-  codec_.torque_command.set_raw(beyond, 0x7FFF);
+  codec_.setpoint.set_raw(beyond, 0x7FFF);
   codec_.command.protection.protect(beyond, 2);
   EXPECT_FALSE(brake_.accept(beyond, now_ns_ += kPeriod_ns));
   EXPECT_EQ(brake_.counts().implausible, 1U);

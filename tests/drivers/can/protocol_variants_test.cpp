@@ -244,7 +244,7 @@ TEST_P(Variants, WrongSizesAndFormatsAreRefused) {
 /// A brake that says what it was last told.
 class Echo {
  public:
-  void command(const TorqueCommand& command) noexcept { command_ = command; }
+  void command(const DriveCommand& command) noexcept { command_ = command; }
   BrakeFeedback sample() noexcept {
     BrakeFeedback reading;
     reading.brake_time_ns = time_ns_ += kPeriod_ns;
@@ -253,7 +253,7 @@ class Echo {
   }
 
  private:
-  TorqueCommand command_;
+  DriveCommand command_;
   std::int64_t time_ns_ = 0;
 };
 
