@@ -20,10 +20,14 @@ double soft_sign(double velocity_rad_s) noexcept {
   return std::clamp(velocity_rad_s / kSignWidth_rad_s, -1.0, 1.0);
 }
 
-}  // namespace
+/// A row of the reference as this very brake has to go through it.
+struct StretchedRow {
+  double position_rad = 0.0;  ///< where it has the row's force
+  double stretch = 1.0;       ///< of its velocity over the row's
+};
 
-double tracking_torque_Nm(const ReferenceRow& row, const ReferenceRow& next, const NominalDrive& drive,
-                          const MotionState& motion, const StiffnessCurve& stiffness) noexcept {
+StretchedRow stretched(const ReferenceRow& row, const NominalDrive& drive,
+                       const StiffnessCurve& stiffness) noexcept {
   const double position_rad = stiffness.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2);
   // The same force over time needs another velocity on another stiffness: v = F'(t) / (dF/dx).
   double stretch = 1.0;
@@ -31,7 +35,38 @@ double tracking_torque_Nm(const ReferenceRow& row, const ReferenceRow& next, con
     stretch = row.position_rad > 1.0
                   ? row.stiffness_N_rad / std::max(stiffness.slope_N_rad(position_rad), 1.0)
                   : position_rad / row.position_rad;
-  stretch = std::clamp(stretch, kLeastStretch, kMaxStretch);
+  return {position_rad, std::clamp(stretch, kLeastStretch, kMaxStretch)};
+}
+
+/// The observer's position is the encoder's, a row's counts from contact.
+MotionState from_contact(const MotionObserver& predicted, const StiffnessEstimate& learned) noexcept {
+  MotionState motion = predicted.state();
+  motion.position_rad -= learned.contact_rad();
+  return motion;
+}
+
+/// Where a move is along the square root that ends at its target.
+struct Braking {
+  double speed_rad_s = 0.0;
+  double braking_rad_s2 = 0.0;
+};
+
+Braking braking_to(double distance_rad, double speed_limit_rad_s) noexcept {
+  // Exponential near the target, a parabola of constant braking before, joined smoothly.
+  constexpr double kJoin_rad = kBraking_rad_s2 / (kPositionBandwidth_rad_s * kPositionBandwidth_rad_s);
+  const double speed_rad_s = distance_rad < kJoin_rad
+                                 ? kPositionBandwidth_rad_s * distance_rad
+                                 : std::sqrt(2.0 * kBraking_rad_s2 * (distance_rad - 0.5 * kJoin_rad));
+  if (speed_rad_s > speed_limit_rad_s) return {speed_limit_rad_s, 0.0};
+  return {speed_rad_s,
+          distance_rad < kJoin_rad ? kPositionBandwidth_rad_s * speed_rad_s : kBraking_rad_s2};
+}
+
+}  // namespace
+
+double tracking_torque_Nm(const ReferenceRow& row, const ReferenceRow& next, const NominalDrive& drive,
+                          const MotionState& motion, const StiffnessCurve& stiffness) noexcept {
+  const auto [position_rad, stretch] = stretched(row, drive, stiffness);
   const double velocity_rad_s = stretch * row.velocity_rad_s;
   const double acceleration_rad_s2 = (next.velocity_rad_s - row.velocity_rad_s) / kPeriod_s;
 
@@ -45,10 +80,18 @@ double tracking_torque_Nm(const ReferenceRow& row, const ReferenceRow& next, con
 
 double tracking_torque_Nm(const ReferenceRow& row, const ReferenceRow& next, const NominalDrive& drive,
                           const MotionObserver& predicted, const StiffnessEstimate& learned) noexcept {
-  // The observer's position is the encoder's, a row's counts from contact.
-  MotionState motion = predicted.state();
-  motion.position_rad -= learned.contact_rad();
-  return tracking_torque_Nm(row, next, drive, motion, learned.curve());
+  return tracking_torque_Nm(row, next, drive, from_contact(predicted, learned), learned.curve());
+}
+
+double tracking_velocity_rad_s(const ReferenceRow& row, const ReferenceRow& next, const NominalDrive& drive,
+                               const MotionState& motion, const StiffnessCurve& stiffness) noexcept {
+  const auto [position_rad, stretch] = stretched(row, drive, stiffness);
+  return stretch * next.velocity_rad_s + kPositionBandwidth_rad_s * (position_rad - motion.position_rad);
+}
+
+double tracking_velocity_rad_s(const ReferenceRow& row, const ReferenceRow& next, const NominalDrive& drive,
+                               const MotionObserver& predicted, const StiffnessEstimate& learned) noexcept {
+  return tracking_velocity_rad_s(row, next, drive, from_contact(predicted, learned), learned.curve());
 }
 
 double velocity_torque_Nm(double velocity_rad_s, double acceleration_rad_s2, const NominalDrive& drive,
@@ -64,21 +107,17 @@ double velocity_torque_Nm(double velocity_rad_s, double acceleration_rad_s2, con
 double move_torque_Nm(double target_rad, double speed_limit_rad_s, const NominalDrive& drive,
                       const MotionState& predicted, double force_N) noexcept {
   const double error_rad = target_rad - predicted.position_rad;
-  const double distance_rad = std::abs(error_rad);
-  // Exponential near the target, a parabola of constant braking before, joined smoothly.
-  constexpr double kJoin_rad = kBraking_rad_s2 / (kPositionBandwidth_rad_s * kPositionBandwidth_rad_s);
-  double speed_rad_s = distance_rad < kJoin_rad
-                           ? kPositionBandwidth_rad_s * distance_rad
-                           : std::sqrt(2.0 * kBraking_rad_s2 * (distance_rad - 0.5 * kJoin_rad));
-  double braking_rad_s2 = distance_rad < kJoin_rad ? kPositionBandwidth_rad_s * speed_rad_s : kBraking_rad_s2;
-  if (speed_rad_s > speed_limit_rad_s) {
-    speed_rad_s = speed_limit_rad_s;
-    braking_rad_s2 = 0.0;
-  }
+  auto [speed_rad_s, braking_rad_s2] = braking_to(std::abs(error_rad), speed_limit_rad_s);
   const double direction = std::copysign(1.0, error_rad);
   // Braking belongs to the move as planned; while the motor is still slower, it must not slow it further.
   if (direction * predicted.velocity_rad_s < 0.8 * speed_rad_s) braking_rad_s2 = 0.0;
   return velocity_torque_Nm(direction * speed_rad_s, -direction * braking_rad_s2, drive, predicted, force_N);
+}
+
+double move_velocity_rad_s(double target_rad, double speed_limit_rad_s,
+                           const MotionState& predicted) noexcept {
+  const double error_rad = target_rad - predicted.position_rad;
+  return std::copysign(braking_to(std::abs(error_rad), speed_limit_rad_s).speed_rad_s, error_rad);
 }
 
 }  // namespace clampd

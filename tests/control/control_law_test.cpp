@@ -1,5 +1,6 @@
 #include "clampd/control/control_law.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -88,6 +89,80 @@ TEST(ControlLaw, LimitsComeLastAndAlwaysGiveAFiniteTorque) {
   // From 290 rad/s at full braking torque it takes some 4.4 rad to stop; at 1100 N/rad that is beyond the
   // limit.
   EXPECT_EQ(limited_torque_Nm(0.0, limits, drive, kFast_rad_s, 25e3, 1100.0), -3.0);
+}
+
+TEST(SpeedLaw, TheNominalBrakeOnItsReferenceGetsTheSpeedOfTheNextRow) {
+  const NominalDrive drive;
+  const ReferenceRow row = closing_row();
+  ReferenceRow next = row;
+  next.velocity_rad_s += 2.0;
+  MotionState motion{.position_rad = row.position_rad, .velocity_rad_s = row.velocity_rad_s};
+  EXPECT_NEAR(tracking_velocity_rad_s(row, next, drive, motion, drive.stiffness()), next.velocity_rad_s,
+              1e-9);
+  motion.position_rad -= 0.1;
+  const double pushed_rad_s = tracking_velocity_rad_s(row, next, drive, motion, drive.stiffness());
+  EXPECT_GT(pushed_rad_s, next.velocity_rad_s + 1.0) << "what lies behind is caught up with";
+}
+
+TEST(SpeedLaw, StifferPadsAreMovedSlowerByTheSameShareAsByTorque) {
+  const NominalDrive drive;
+  StiffnessCurve stiffer = drive.stiffness();
+  stiffer.cubic_N_rad3 *= 1.2;
+  stiffer.quadratic_N_rad2 *= 1.2;
+  const ReferenceRow row = closing_row();
+  const double position_rad = stiffer.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2);
+  const double velocity_rad_s = row.stiffness_N_rad * row.velocity_rad_s / stiffer.slope_N_rad(position_rad);
+  ASSERT_LT(velocity_rad_s, row.velocity_rad_s);
+  EXPECT_NEAR(tracking_velocity_rad_s(row, row, drive, {.position_rad = position_rad}, stiffer),
+              velocity_rad_s, 1e-9);
+}
+
+// Of a drive that follows exactly, one sample late.
+TEST(SpeedLaw, AMoveEndsAtItsTargetWithoutOvershootAndNeverBeyondItsSpeed) {
+  for (const double target_rad : {40.0, -7.0}) {
+    MotionState motion;
+    double command_rad_s = 0.0, fastest_rad_s = 0.0, furthest = 0.0;
+    for (int k = 0; k < 500; ++k) {
+      motion.velocity_rad_s = command_rad_s;
+      motion.position_rad += kPeriod_s * motion.velocity_rad_s;
+      command_rad_s =
+          ramped_velocity_rad_s(move_velocity_rad_s(target_rad, 220.0, motion), command_rad_s, 4000.0);
+      fastest_rad_s = std::max(fastest_rad_s, std::abs(command_rad_s));
+      furthest = std::max(furthest, motion.position_rad / target_rad);
+    }
+    EXPECT_NEAR(motion.position_rad, target_rad, 0.01);
+    EXPECT_NEAR(command_rad_s, 0.0, 1.0);
+    EXPECT_LE(fastest_rad_s, 220.0);
+    EXPECT_GT(fastest_rad_s, 100.0);
+    EXPECT_LT(furthest, 1.02);
+  }
+}
+
+TEST(SpeedLaw, FasterGoesByARampAndSlowerAtOnce) {
+  EXPECT_EQ(ramped_velocity_rad_s(220.0, 100.0, 4000.0), 104.0);
+  EXPECT_EQ(ramped_velocity_rad_s(-220.0, -100.0, 4000.0), -104.0);
+  EXPECT_EQ(ramped_velocity_rad_s(50.0, 100.0, 4000.0), 50.0);
+  EXPECT_EQ(ramped_velocity_rad_s(0.0, -100.0, 4000.0), 0.0);
+  EXPECT_EQ(ramped_velocity_rad_s(-220.0, 100.0, 4000.0), -4.0) << "through zero, and from there by the ramp";
+}
+
+TEST(SpeedLaw, LimitsComeLastAndAlwaysGiveAFiniteSpeed) {
+  const NominalDrive drive;
+  const ControlLimits limits;
+  const double nan = std::numeric_limits<double>::quiet_NaN(),
+               infinity = std::numeric_limits<double>::infinity();
+  EXPECT_EQ(limited_velocity_rad_s(nan, limits, drive, 0.0, 0.0), 0.0);
+  EXPECT_EQ(limited_velocity_rad_s(infinity, limits, drive, 0.0, 0.0), 0.0);
+  EXPECT_EQ(limited_velocity_rad_s(400.0, limits, drive, 0.0, 0.0), limits.velocity_rad_s);
+  EXPECT_EQ(limited_velocity_rad_s(-400.0, limits, drive, 0.0, 0.0), -limits.velocity_rad_s);
+  EXPECT_EQ(limited_velocity_rad_s(50.0, limits, drive, 29.5e3, 1000.0), 0.0)
+      << "no further at the force limit";
+  EXPECT_EQ(limited_velocity_rad_s(50.0, limits, drive, 29.5e3, 0.0), 0.0) << "wherever contact may be";
+  EXPECT_EQ(limited_velocity_rad_s(-50.0, limits, drive, 29.5e3, 1000.0), -50.0) << "but open";
+  const double stops_rad_s = limited_velocity_rad_s(285.0, limits, drive, 25e3, 1100.0);
+  EXPECT_LT(stops_rad_s, 285.0);
+  EXPECT_NEAR(stop_force_N(stops_rad_s, 25e3, 1100.0, limits.torque_Nm, drive), limits.force_N, 1e-6)
+      << "the speed from which the stop ends there";
 }
 
 }  // namespace

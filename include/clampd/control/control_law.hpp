@@ -43,6 +43,32 @@ CLAMPD_REALTIME double velocity_torque_Nm(double velocity_rad_s, double accelera
                                           const NominalDrive& drive, const MotionState& predicted,
                                           double force_N) noexcept;
 
+// The same laws for a brake whose own loop makes the torque of a speed that it is told.
+
+/// Of tracking_torque_Nm(): the speed with which the reference leaves `row`, stretched for the brake's own
+/// stiffness, and what takes out the position's error. Not limited. `motion` is the state at that very row.
+CLAMPD_REALTIME double tracking_velocity_rad_s(const ReferenceRow& row, const ReferenceRow& next,
+                                               const NominalDrive& drive, const MotionState& motion,
+                                               const StiffnessCurve& stiffness) noexcept;
+
+/// The same as the loop calls it: with what it predicts for the row, and what it has learned so far.
+CLAMPD_REALTIME double tracking_velocity_rad_s(const ReferenceRow& row, const ReferenceRow& next,
+                                               const NominalDrive& drive, const MotionObserver& predicted,
+                                               const StiffnessEstimate& learned) noexcept;
+
+/// Of move_torque_Nm(): the speed along the same square root.
+CLAMPD_REALTIME double move_velocity_rad_s(double target_rad, double speed_limit_rad_s,
+                                           const MotionState& predicted) noexcept;
+
+/// `velocity_rad_s`, but no more than `acceleration_rad_s2` allows after `before_rad_s`, the command before:
+/// the brake's own loop would answer a step with all of its torque. Slower is allowed at once.
+CLAMPD_REALTIME inline double ramped_velocity_rad_s(double velocity_rad_s, double before_rad_s,
+                                                    double acceleration_rad_s2) noexcept {
+  const double step_rad_s = acceleration_rad_s2 * kPeriod_s;
+  return std::clamp(velocity_rad_s, std::min(before_rad_s, 0.0) - step_rad_s,
+                    std::max(before_rad_s, 0.0) + step_rad_s);
+}
+
 /// The force in N that a stop would end at, if the next command brakes with all of `torque_limit_Nm`: along
 /// the tangent of the stiffness, with no help by load and friction. The present force unless it closes.
 CLAMPD_REALTIME inline double stop_force_N(double velocity_rad_s, double force_N, double slope_N_rad,
@@ -68,6 +94,26 @@ CLAMPD_REALTIME inline double limited_torque_Nm(double torque_Nm, const ControlL
   if (stop_force_N(velocity_rad_s, force_N, slope_N_rad, limits.torque_Nm, drive) > limits.force_N)
     torque_Nm = velocity_rad_s > 0.0 ? -limits.torque_Nm : std::min(torque_Nm, 0.0);
   return std::clamp(torque_Nm, -limits.torque_Nm, limits.torque_Nm);
+}
+
+/// Limits last: no speed beyond the limit, none that drives the brake into a force from where it could no
+/// longer stop in time: along the square root that ends at the force limit. The torque is the brake's own
+/// affair. Always finite; zero if the input is not.
+CLAMPD_REALTIME inline double limited_velocity_rad_s(double velocity_rad_s, const ControlLimits& limits,
+                                                     const NominalDrive& drive, double force_N,
+                                                     double slope_N_rad) noexcept {
+  if (!std::isfinite(velocity_rad_s)) return 0.0;
+  double closing_rad_s = limits.velocity_rad_s;
+  if (slope_N_rad > 0.0 || force_N >= limits.force_N) {
+    // Of stop_force_N(): the speed from which the stop ends at the limit.
+    const double braking_rad_s2 = limits.torque_Nm / drive.inertia_kg_m2;
+    const double room_rad = std::max(0.0, limits.force_N - force_N) / std::max(slope_N_rad, 1.0);
+    const double lost_rad_s = braking_rad_s2 * kPeriod_s;  // until the next command acts
+    const double stops_rad_s =
+        std::sqrt(lost_rad_s * lost_rad_s + 2.0 * braking_rad_s2 * room_rad) - lost_rad_s;
+    closing_rad_s = std::min(closing_rad_s, stops_rad_s);
+  }
+  return std::clamp(velocity_rad_s, -limits.velocity_rad_s, closing_rad_s);
 }
 
 }  // namespace clampd
