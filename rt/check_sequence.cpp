@@ -24,6 +24,12 @@ constexpr double kStretch_rad = 0.7;     // of opening over which the force is a
 constexpr double kStretchDrop_N = 60.0;  // the force still falls: pads in contact
 constexpr double kOpenMargin_rad = 1.5;  // on from where the force no longer falls
 constexpr int kStallSamples = 50;        // still, though driven: at the end stop
+// A brake that is told its speed soon presses with all of its torque on what stops it: then sooner.
+constexpr int kPressingSamples = 3;
+constexpr double kReliefSpeed_rad_s = 10.0;  // with which it is then led back until it no longer presses
+constexpr int kReliefSamples = 100;
+constexpr double kRestTorque_Nm = 0.4;  // less than this is no pressing, but friction and noise
+constexpr double kGentleRamp_rad_s2 = 1000.0, kMoveRamp_rad_s2 = 4000.0;
 constexpr double kStallTravel_rad = 0.05;
 constexpr int kRestSamples = 10;
 constexpr double kRestSpeed_rad_s = 1.0;
@@ -93,7 +99,7 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
       std::isfinite(feedback.force_N + feedback.velocity_rad_s + feedback.torque_Nm + feedback.position_rad);
   if (started_ && feedback.sample_index == index_) return last_;
   if (!finite || (started_ && feedback.sample_index < index_)) {
-    last_.torque_Nm = 0.0;
+    last_.torque_Nm = last_.velocity_rad_s = 0.0;
     last_.fault = finite ? FaultCause::FeedbackFrozen : FaultCause::FeedbackImplausible;
     return last_;
   }
@@ -114,13 +120,16 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
     if (gap > kMaxGap)
       observer_.reset({.position_rad = feedback.position_rad});
     else
-      for (std::int64_t i = 0; i < gap; ++i) observer_.predict(plan_->drive, last_.torque_Nm, force_N_);
+      for (std::int64_t i = 0; i < gap; ++i)
+        observer_.predict(plan_->drive, is_told_speed() ? torque_Nm_ : last_.torque_Nm, force_N_);
   }
   index_ = feedback.sample_index;
   observer_.correct(feedback.position_rad, velocity_rad_s);
   proof_.velocity_rad += velocity_rad_s * kPeriod_s;
   const ForcePair& pair = median_pair({force_N_, feedback.position_rad});
   smooth_force_N_ += 0.3 * (pair.force_N - smooth_force_N_);
+  torque_Nm_ = feedback.torque_Nm;
+  smooth_torque_Nm_ += 0.05 * (torque_Nm_ - smooth_torque_Nm_);
   if (last_.context.contact_known)
     stiffness_.learn(pair.position_rad, pair.force_N, observer_.velocity_rad_s());
   observer_.predict(plan_->drive, feedback.torque_Nm, std::max(0.0, force_N_));
@@ -139,22 +148,45 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
     }
   }
   last_.fault = FaultCause::None;
-  last_.torque_Nm = 0.0;
   const bool bounded_in_time = stage_ != Stage::Trajectory && stage_ != Stage::Done;
   if (bounded_in_time && static_cast<double>(samples_in_stage()) * kPeriod_s > plan_->phase_timeout_s) {
     last_.fault = FaultCause::SequenceTimeout;
+    last_.torque_Nm = last_.velocity_rad_s = 0.0;
   } else {
-    const double torque_Nm = decide(feedback);
-    const double slope_N_rad =
-        last_.context.contact_known
-            ? stiffness_.curve().slope_N_rad(observer_.position_rad() - stiffness_.contact_rad())
-            : 0.0;
-    const ControlLimits limits{.torque_Nm = plan_->torque_limit_Nm};
-    last_.torque_Nm =
-        limited_torque_Nm(torque_Nm, limits, plan_->drive, observer_.velocity_rad_s(), force_N_, slope_N_rad);
+    command(decide(feedback));
   }
   if (last_.fault == FaultCause::None) last_.fault = unproven_;
   return last_;
+}
+
+/// Limits last.
+inline void CheckSequence::command(double wanted) noexcept {
+  const double slope_N_rad =
+      last_.context.contact_known
+          ? stiffness_.curve().slope_N_rad(observer_.position_rad() - stiffness_.contact_rad())
+          : 0.0;
+  const ControlLimits limits{.torque_Nm = plan_->torque_limit_Nm};
+  if (is_told_speed())
+    last_.velocity_rad_s = limited_velocity_rad_s(wanted, limits, plan_->drive, force_N_, slope_N_rad);
+  else
+    last_.torque_Nm =
+        limited_torque_Nm(wanted, limits, plan_->drive, observer_.velocity_rad_s(), force_N_, slope_N_rad);
+}
+
+/// Gently: with no more than this torque, or by a gentle ramp.
+double CheckSequence::keep_speed(double velocity_rad_s, double force_N, double torque_limit_Nm) noexcept {
+  if (is_told_speed())
+    return ramped_velocity_rad_s(velocity_rad_s, last_.velocity_rad_s, kGentleRamp_rad_s2);
+  return std::clamp(velocity_torque_Nm(velocity_rad_s, 0.0, plan_->drive, observer_.state(), force_N),
+                    -torque_limit_Nm, torque_limit_Nm);
+}
+
+double CheckSequence::move_to(double target_rad) noexcept {
+  if (is_told_speed())
+    return ramped_velocity_rad_s(move_velocity_rad_s(target_rad, kMoveSpeed_rad_s, observer_.state()),
+                                 last_.velocity_rad_s, kMoveRamp_rad_s2);
+  return move_torque_Nm(target_rad, kMoveSpeed_rad_s, plan_->drive, observer_.state(),
+                        std::max(0.0, force_N_));
 }
 
 // Of the last three: a single spike is never taken for contact, nor learned.
@@ -255,19 +287,27 @@ double CheckSequence::open() noexcept {
   } else if (travelled_rad >= (plan_->open_only && stretch_.fell ? plan_->clearance_rad : kOpenMargin_rad)) {
     enter(Stage::Rest);
   }
-  if (still_samples_ >= kStallSamples && force_N < plan_->contact_force_N * kLearnFactor) enter(Stage::Rest);
-  return std::clamp(velocity_torque_Nm(-kOpeningSpeed_rad_s, 0.0, plan_->drive, observer_.state(), force_N),
-                    -kOpeningTorque_Nm, kOpeningTorque_Nm);
+  const bool stalled = is_told_speed()
+                           ? still_samples_ >= kPressingSamples && torque_Nm_ <= -kOpeningTorque_Nm
+                           : still_samples_ >= kStallSamples;
+  if (stalled && force_N < plan_->contact_force_N * kLearnFactor) enter(Stage::Rest);
+  return keep_speed(-kOpeningSpeed_rad_s, force_N, kOpeningTorque_Nm);
 }
 
 double CheckSequence::rest() noexcept {
+  // The loop of a brake that was stopped by its end stop may press on it for ever.
+  const bool pressing = is_told_speed() && smooth_torque_Nm_ < -kRestTorque_Nm;
+  if (pressing && samples_in_stage() < kReliefSamples) {
+    still_samples_ = 0;
+    return kReliefSpeed_rad_s;
+  }
   still_samples_ = std::abs(observer_.velocity_rad_s()) < kRestSpeed_rad_s ? still_samples_ + 1 : 0;
   if (still_samples_ >= kRestSamples) {
     sum_force_N_ = sum_velocity_rad_s_ = 0.0;
     tare_samples_ = 0;
     enter(plan_->open_only ? Stage::Done : Stage::Tare);
   }
-  if (still_samples_ > 0) return 0.0;
+  if (still_samples_ > 0 || is_told_speed()) return 0.0;
   return velocity_torque_Nm(0.0, 0.0, plan_->drive, observer_.state(), 0.0);
 }
 
@@ -324,9 +364,9 @@ double CheckSequence::approach() noexcept {
   const double holding_Nm =
       plan_->drive.ratio_m_rad * wanted_N + 2.0 * plan_->drive.dry_friction_Nm(0.0, wanted_N);
   const double limit_Nm = std::max(kApproachTorque_Nm, 1.5 * holding_Nm);
-  return std::clamp(velocity_torque_Nm(plan_->approach_velocity_rad_s, 0.0, plan_->drive, observer_.state(),
-                                       std::max(0.0, smooth_force_N_)),
-                    -limit_Nm, limit_Nm);
+  // It presses on what the force reading does not show.
+  if (is_told_speed() && smooth_torque_Nm_ > limit_Nm) unproven_ = FaultCause::ForceReading;
+  return keep_speed(plan_->approach_velocity_rad_s, std::max(0.0, smooth_force_N_), limit_Nm);
 }
 
 double CheckSequence::start_position_rad() const noexcept {
@@ -340,8 +380,7 @@ double CheckSequence::move_to_start() noexcept {
     enter(Stage::Settle);
     return 0.0;
   }
-  return move_torque_Nm(start_position_rad(), kMoveSpeed_rad_s, plan_->drive, observer_.state(),
-                        std::max(0.0, force_N_));
+  return move_to(start_position_rad());
 }
 
 double CheckSequence::settle() noexcept {
@@ -367,8 +406,9 @@ inline double CheckSequence::track() noexcept {
     enter(again ? Stage::Return : Stage::Release);
     return again ? move_to_start() : release();
   }
-  return tracking_torque_Nm(rows()[next], rows()[std::min(next + 1, rows().size() - 1)], plan_->drive,
-                            observer_, stiffness_);
+  const ReferenceRow &row = rows()[next], &after = rows()[std::min(next + 1, rows().size() - 1)];
+  return is_told_speed() ? tracking_velocity_rad_s(row, after, plan_->drive, observer_, stiffness_)
+                         : tracking_torque_Nm(row, after, plan_->drive, observer_, stiffness_);
 }
 
 double CheckSequence::release() noexcept {
@@ -379,8 +419,7 @@ double CheckSequence::release() noexcept {
     enter(Stage::Done);
     return 0.0;
   }
-  return move_torque_Nm(target_rad, kMoveSpeed_rad_s, plan_->drive, observer_.state(),
-                        std::max(0.0, force_N_));
+  return move_to(target_rad);
 }
 
 }  // namespace clampd::rt

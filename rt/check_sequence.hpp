@@ -23,6 +23,7 @@ struct CheckPlan {
   /// check is `reference` for k = 0, else further[k - 1].
   std::vector<Reference> further;
   NominalDrive drive;
+  CommandedQuantity commanded = CommandedQuantity::Torque;  ///< what this brake is told
   std::uint16_t repeats = 20;
   double tare_s = 0.5;  ///< rest in the clearance for the offsets
   double approach_velocity_rad_s = 20.0;
@@ -40,6 +41,7 @@ struct CheckPlan {
 /// What the loop shall do with this sample.
 struct SequenceOutput {
   double torque_Nm = 0.0;  ///< command that acts from the next sample on; already within the plan's limit
+  double velocity_rad_s = 0.0;  ///< in its place to a brake that is told its speed
   CheckPhase phase = CheckPhase::None;
   std::uint16_t repeat = 0;
   std::uint8_t trajectory = 0;         ///< which one the run follows
@@ -58,7 +60,9 @@ struct SequenceOutput {
 /// FeedbackFrozen.
 ///
 /// The gentle moves before the first run prove the readings: opening and approach are short of torque, the
-/// approach ends only with a live force, and by then encoder and velocity must tell of the same travel.
+/// approach ends only with a live force, and by then encoder and velocity must tell of the same travel. The
+/// torque of a brake that is told its speed is its own: these moves begin by a ramp, and end where the torque
+/// reading shows that it presses.
 ///
 /// A brake that is found clamped, or not open for sure, is opened first; that phase reports Return. A plan
 /// that is `open_only` ends there, with the clearance open.
@@ -88,6 +92,13 @@ class CheckSequence {
   CLAMPD_REALTIME const ForcePair& median_pair(const ForcePair& newest) noexcept;
   CLAMPD_REALTIME void compare_stiffness() noexcept;
   CLAMPD_REALTIME void judge_stiffness() noexcept;
+  CLAMPD_REALTIME bool is_told_speed() const noexcept {
+    return plan_->commanded == CommandedQuantity::Velocity;
+  }
+  CLAMPD_REALTIME void command(double wanted) noexcept;
+  CLAMPD_REALTIME double keep_speed(double velocity_rad_s, double force_N, double torque_limit_Nm) noexcept;
+  CLAMPD_REALTIME double move_to(double target_rad) noexcept;
+  // What the stages return is a torque, or to a brake that is told its speed, a speed.
   CLAMPD_REALTIME double decide(const BrakeFeedback& feedback) noexcept;
   CLAMPD_REALTIME double open() noexcept;
   CLAMPD_REALTIME double rest() noexcept;
@@ -121,6 +132,8 @@ class CheckSequence {
   double force_N_ = 0.0;  ///< tared reading
   double velocity_offset_rad_s_ = 0.0;
   double smooth_force_N_ = 0.0;
+  double torque_Nm_ = 0.0;         ///< reading
+  double smooth_torque_Nm_ = 0.0;
   std::array<ForcePair, 3> pairs_{};  ///< the last three, oldest first
 
   /// Mean force over the last stretches of opening.

@@ -203,7 +203,7 @@ class BasicControlCore {
 
     const DriveCommand command = safe_command();
     const bool handed_over = port_.send(command, now_ns);
-    supervisor_.sent(handed_over, command.torque_Nm);
+    supervisor_.sent(handed_over, command);
     log({samples.data(), received}, command.torque_Nm);
     publish(now_ns, lateness_ns, skipped_periods);
   }
@@ -321,8 +321,9 @@ class BasicControlCore {
       sequence_.follow(static_cast<std::uint8_t>(next % RequestBoard::kTrajectories));
     const SequenceOutput& output = sequence_.step(feedback);
     torque_Nm_ = output.torque_Nm;
+    velocity_rad_s_ = output.velocity_rad_s;
     supervisor_.raise(output.fault);
-    if (!std::isfinite(output.torque_Nm)) supervisor_.raise(FaultCause::NonFinite);
+    if (!std::isfinite(output.torque_Nm + output.velocity_rad_s)) supervisor_.raise(FaultCause::NonFinite);
     supervisor_.follow(output.phase, sequence_.done(), output.context);
     if (supervisor_.state() == StationState::Idle) end_check({});
     note(output, sample);
@@ -373,7 +374,7 @@ class BasicControlCore {
   // The cause is taken here and now: a clear may follow before anybody looks.
   void end_check(const CheckEnd& end) noexcept {
     plan_ = nullptr;
-    torque_Nm_ = 0.0;
+    torque_Nm_ = velocity_rad_s_ = 0.0;
     status_.end_refusal.store(end.refusal, std::memory_order_relaxed);
     status_.end_fault.store(end.fault, std::memory_order_relaxed);
     status_.end_state.store(end.state, std::memory_order_relaxed);
@@ -387,16 +388,25 @@ class BasicControlCore {
   }
 
   // The last word on what leaves the station: whatever happened above, nothing but a finite, limited torque
-  // of a running check passes.
+  // or speed of a running check passes.
   DriveCommand safe_command() noexcept {
+    DriveCommand command{.enable = supervisor_.in_check()};
+    if (plan_ != nullptr) command.commanded = plan_->commanded;
     if (supervisor_.sequence_runs()) {
       const double limit_Nm = std::max(0.0, std::min(settings_.torque_limit_Nm, plan_->torque_limit_Nm));
+      const double limit_rad_s = settings_.speed_limit_rad_s;
       const double torque_Nm = std::clamp(torque_Nm_, -limit_Nm, limit_Nm);
-      if (std::isfinite(torque_Nm)) return DriveCommand{torque_Nm, true};
+      const double velocity_rad_s = std::clamp(velocity_rad_s_, -limit_rad_s, limit_rad_s);
+      if (std::isfinite(torque_Nm + velocity_rad_s)) {
+        command.torque_Nm = torque_Nm;
+        command.velocity_rad_s = velocity_rad_s;
+        return command;
+      }
       supervisor_.raise(FaultCause::NonFinite);
+      command.enable = false;
     }
-    torque_Nm_ = 0.0;
-    return DriveCommand{0.0, supervisor_.state() == StationState::Armed};
+    torque_Nm_ = velocity_rad_s_ = 0.0;
+    return command;
   }
 
   void log(std::span<Sample* const> samples, double torque_command_Nm) noexcept {
@@ -474,7 +484,9 @@ class BasicControlCore {
   Supervisor supervisor_;
   Sequence sequence_;
   const CheckPlan* plan_ = nullptr;
-  double torque_Nm_ = 0.0;       ///< what the sequence wants from the next sample on; held over an empty tick
+  // What the sequence wants from the next sample on, of what the plan commands; held over an empty tick.
+  double torque_Nm_ = 0.0;
+  double velocity_rad_s_ = 0.0;
   double sent_torque_Nm_ = 0.0;  ///< what acts since the last tick
   std::uint64_t finished_ = 0;
   std::uint64_t stops_taken_ = 0;

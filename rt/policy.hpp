@@ -152,6 +152,11 @@ inline constexpr Policy kPolicy{{
     {FaultCause::StationEnded, "", FaultSeverity::Stop, FaultScope::Check, Verdict::Aborted,
      ClearCondition::AtOnce,
      "The station's program was stopped or restarted during the check. Check this brake again."},
+    {FaultCause::SpeedNotFollowed, "readings.velocity_rad_s, torque_limit_Nm", FaultSeverity::Alarm,
+     FaultScope::Check, Verdict::Error, ClearCondition::AtOnce,
+     "The brake does not take up the speed that it is told. Check that its speed control is on and fast "
+     "enough, that its torque limit is not below the station's, that nothing blocks the brake, and the "
+     "encoder."},
 }};
 
 static_assert(

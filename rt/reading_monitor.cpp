@@ -28,6 +28,10 @@ constexpr double kRelaxation = 0.1;  // share of the force that pads may lose at
 
 constexpr double kTorqueShare = 0.2;
 constexpr double kTorqueSamples = 10.0;       // samples at the tolerance that make a contradiction
+// Of a brake that is told its speed: the share of its torque limit that surely accelerates it, less what the
+// present force takes, and at least; and how far its speed may be from the command for long.
+constexpr double kSureTorque = 0.5, kLeastTorque = 0.1;
+constexpr double kSpeedTolerance = 0.4, kSpeedShare = 0.1, kSpeedSamples = 10.0;
 constexpr double kVelocityLag_samples = 3.0;  // a velocity reading may be filtered
 constexpr double kForceLag_samples = ReadingMonitor::kForceLag;
 constexpr double kForceShare = 0.03;
@@ -35,6 +39,8 @@ constexpr double kForceJump = 3.0;  // tolerances; so much in one sample is wron
 constexpr double kFrozenForce_N = 300.0;  // due, while the reading repeated exactly
 constexpr int kFrozenRepeats = 3;
 constexpr int kStill = 8;  // equal samples in a row of a reading that stands still
+
+constexpr double kHint = 0.4;  // of a tolerance: no contradiction, but it tells which of two it is
 
 constexpr double kForgetFast = 0.967;  // a sample: 30 ms
 constexpr double kForgetSlow = 0.99;   // 100 ms
@@ -64,7 +70,8 @@ void RepeatWatch::learn() noexcept {
   tolerated_ = known ? kRepeatFactor * std::max(longest_, 1) + kRepeatMargin : kMax;
 }
 
-ReadingMonitor::Bounds::Bounds(const NominalDrive& drive, double force_tolerance_N) noexcept
+ReadingMonitor::Bounds::Bounds(const NominalDrive& drive, double force_tolerance_N,
+                               double torque_limit_Nm) noexcept
     : nominal(drive.stiffness()),
       ratio_lower_m_rad(kRatioLower * drive.ratio_m_rad),
       ratio_upper_m_rad(kRatioUpper * drive.ratio_m_rad),
@@ -72,6 +79,7 @@ ReadingMonitor::Bounds::Bounds(const NominalDrive& drive, double force_tolerance
       viscous_Nm_s_rad(kViscousFriction * drive.viscous_Nm_s_rad),
       light_per_kg_m2(1.0 / (kInertiaLower * drive.inertia_kg_m2)),
       heavy_per_kg_m2(1.0 / (kInertiaUpper * drive.inertia_kg_m2)),
+      most_torque_Nm(torque_limit_Nm),
       steep_rad(1e3),
       top_rad(std::numeric_limits<double>::infinity()) {
   NominalDrive sluggish = drive;
@@ -137,6 +145,14 @@ inline ReadingMonitor::Pair ReadingMonitor::Torques::most_Nm() const noexcept {
   return larger(larger(a, b), larger(c, d));
 }
 
+inline ReadingMonitor::Pair ReadingMonitor::Speeds::outside_rad_s(Pair velocity_rad_s,
+                                                                  double change_rad_s) noexcept {
+  const auto& [a, b, c, d] = commanded_rad_s_;
+  lower_rad_s_ = smaller(smaller(smaller(a, b), smaller(c, d)), lower_rad_s_ + change_rad_s);
+  upper_rad_s_ = larger(larger(larger(a, b), larger(c, d)), upper_rad_s_ - change_rad_s);
+  return larger(lower_rad_s_ - velocity_rad_s, velocity_rad_s - upper_rad_s_);
+}
+
 inline void ReadingMonitor::Forces::push(double force_N) noexcept {
   values_N_[oldest_] = force_N;
   oldest_ = oldest_ + 1 < values_N_.size() ? oldest_ + 1 : 0;
@@ -152,8 +168,10 @@ inline double ReadingMonitor::Forces::median_N() const noexcept {
 
 void ReadingMonitor::restart() noexcept {
   const Torques torques_Nm = torques_Nm_;
+  const Speeds speeds = speeds_;
   *this = ReadingMonitor(tolerances_, bounds_);
   torques_Nm_ = torques_Nm;
+  speeds_ = speeds;
 }
 
 void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {
@@ -163,7 +181,9 @@ void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {
   force_N_ = feedback.force_N;
   momentum_ = {};
   momentum_.before_rad_s += feedback.velocity_rad_s;
+  speeds_.begin_at(feedback.velocity_rad_s);
   torque_excess_Nm_ = position_excess_rad_ = unanswered_N_ = 0.0;
+  speed_excess_rad_s_ = Pair{};
   force_excess_N_ = Pair{};
   settling_ = kHistory;
   index_ = feedback.sample_index;
@@ -179,6 +199,22 @@ inline double ReadingMonitor::compare_torque(double reading_Nm, double least_Nm,
   const double excess_Nm = beyond_Nm - tolerances_.torque_Nm - kTorqueShare * largest_Nm;
   torque_excess_Nm_ = larger(torque_excess_Nm_ + larger(excess_Nm, -tolerances_.torque_Nm) * samples, 0.0);
   return torque_excess_Nm_ / (kTorqueSamples * tolerances_.torque_Nm);
+}
+
+ReadingMonitor::Pair ReadingMonitor::compare_speed(Pair velocity_rad_s, double elapsed_s) noexcept {
+  const double force_N = larger(force_N_, 0.0);
+  const double holding_Nm = bounds_.ratio_upper_m_rad * force_N + bounds_.friction(force_N).torque_Nm(0.0);
+  const double sure_Nm = larger(kSureTorque * bounds_.most_torque_Nm - holding_Nm,
+                                kLeastTorque * bounds_.most_torque_Nm);
+  const Pair outside_rad_s =
+      speeds_.outside_rad_s(velocity_rad_s, sure_Nm * bounds_.heavy_per_kg_m2 * elapsed_s);
+  const Pair tolerance_rad_s = Pair{} + kSpeedTolerance * tolerances_.velocity_rad_s;
+  const Pair excess_rad_s =
+      outside_rad_s - tolerance_rad_s - kSpeedShare * larger(velocity_rad_s, -velocity_rad_s);
+  const double samples = elapsed_s / kPeriod_s;
+  speed_excess_rad_s_ =
+      larger(speed_excess_rad_s_ + larger(excess_rad_s, -tolerance_rad_s) * samples, Pair{});
+  return speed_excess_rad_s_ / (kSpeedSamples * tolerances_.velocity_rad_s);
 }
 
 inline ReadingMonitor::Drivers ReadingMonitor::drivers(double least_Nm, double most_Nm, double elapsed_s,
@@ -284,8 +320,28 @@ FaultCause ReadingMonitor::position_or_velocity() const noexcept {
                                                                  : FaultCause::VelocityReading;
 }
 
+/// Position and velocity agree, move, and contradict the torque.
+FaultCause ReadingMonitor::torque_or_force(const Levels& levels) const noexcept {
+  if (levels.force > kHint) return FaultCause::ForceReading;
+  // Of a brake that moves as it was told, the torque is what it has to be, whatever its reading says; unless
+  // it is not known yet whether the force reading answers.
+  const bool follows = levels.speed[kRead] < kHint && levels.speed[kDifferentiated] < kHint;
+  if (commanded_ == CommandedQuantity::Velocity && follows && levels.contact_known &&
+      levels.compression < kHint)
+    return FaultCause::TorqueReading;
+  // What resists is a force that the reading does not show.
+  const bool resisted = momentum_.below_rad_s[kRead] > momentum_.above_rad_s[kRead];
+  return resisted && common_speed_rad_s_ > 1.0 ? FaultCause::ForceReading : FaultCause::TorqueAgainstMotion;
+}
+
+/// Of a brake that does not do what it was told, both velocities say so.
+FaultCause ReadingMonitor::speed_verdict(const Levels& levels) noexcept {
+  if (levels.speed[kDifferentiated] < kHint) return FaultCause::VelocityReading;
+  if (levels.speed[kRead] < kHint) return FaultCause::PositionReading;
+  return FaultCause::SpeedNotFollowed;
+}
+
 FaultCause ReadingMonitor::verdict(const Levels& levels) const noexcept {
-  constexpr double kHint = 0.4;  // of a tolerance: no contradiction, but it tells which of two it is
   if (levels.torque >= 1.0) return FaultCause::TorqueReading;
   if (levels.position >= 1.0) return position_or_velocity();
   if (levels.by_velocity >= 1.0 || levels.by_position >= 1.0) {
@@ -294,10 +350,7 @@ FaultCause ReadingMonitor::verdict(const Levels& levels) const noexcept {
     if (levels.by_velocity < kHint * levels.by_position) return FaultCause::PositionReading;
     if (encoder_stands_still()) return FaultCause::TorqueAgainstMotion;
     if (levels.position > kHint) return position_or_velocity();
-    // Position and velocity agree and move: what resists is a force that the reading does not show.
-    const bool resisted = momentum_.below_rad_s[kRead] > momentum_.above_rad_s[kRead];
-    return levels.force > kHint || (resisted && common_speed_rad_s_ > 1.0) ? FaultCause::ForceReading
-                                                                           : FaultCause::TorqueAgainstMotion;
+    return torque_or_force(levels);
   }
   if (levels.velocity_stuck) return FaultCause::VelocityReading;
   if (levels.force_stuck) return FaultCause::ForceReading;
@@ -307,6 +360,7 @@ FaultCause ReadingMonitor::verdict(const Levels& levels) const noexcept {
                ? FaultCause::PositionReading
                : FaultCause::ForceReading;
   }
+  if (levels.speed[kRead] >= 1.0 || levels.speed[kDifferentiated] >= 1.0) return speed_verdict(levels);
   return FaultCause::None;
 }
 
@@ -327,9 +381,13 @@ FaultCause ReadingMonitor::observe(const BrakeFeedback& feedback, const ReadingC
   const Pair least_Nm = torques_Nm_.least_Nm(), most_Nm = torques_Nm_.most_Nm();
   const Drivers drivers =
       this->drivers(least_Nm[kReported], most_Nm[kReported], elapsed_s, context.stop_ahead);
-  const Pair by_motion = compare_momentum(drivers, Pair{feedback.velocity_rad_s, step_rad / elapsed_s});
-  const double torque = compare_torque(feedback.torque_Nm, least_Nm[kCommanded], most_Nm[kCommanded],
-                                       static_cast<double>(samples));
+  const Pair velocity_rad_s{feedback.velocity_rad_s, step_rad / elapsed_s};
+  const Pair by_motion = compare_momentum(drivers, velocity_rad_s);
+  const bool by_torque = commanded_ == CommandedQuantity::Torque;
+  const double torque = by_torque ? compare_torque(feedback.torque_Nm, least_Nm[kCommanded],
+                                                   most_Nm[kCommanded], static_cast<double>(samples))
+                                  : 0.0;
+  const Pair speed = by_torque ? Pair{} : compare_speed(velocity_rad_s, elapsed_s);
   const bool velocity_stuck = velocity_repeats_.repeats_too_often(feedback.velocity_rad_s, context.at_rest);
   const bool force_stuck = force_repeats_.repeats_too_often(feedback.force_N, context.at_rest) ||
                            (unanswered_N_ > kFrozenForce_N && force_repeats_.repeats() >= kFrozenRepeats);
@@ -340,11 +398,11 @@ FaultCause ReadingMonitor::observe(const BrakeFeedback& feedback, const ReadingC
   }
   const double largest =
       std::max(std::max(std::max(torque, position), std::max(by_motion[kRead], by_motion[kDifferentiated])),
-               std::max(force, compression));
+               std::max(std::max(force, compression), std::max(speed[kRead], speed[kDifferentiated])));
   // Not ">= 1": a level that is no number hides none of the others from the verdict.
   if (largest < 1.0 && !velocity_stuck && !force_stuck) return FaultCause::None;
-  return verdict({torque, position, by_motion[kRead], by_motion[kDifferentiated], force, compression,
-                  velocity_stuck, force_stuck});
+  return verdict({torque, position, by_motion[kRead], by_motion[kDifferentiated], force, compression, speed,
+                  velocity_stuck, force_stuck, context.contact_known});
 }
 
 }  // namespace clampd::rt

@@ -20,7 +20,8 @@ namespace clampd::rt {
 /// practice.
 struct ReadingTolerances {
   double torque_Nm = 0.1;        ///< torque reading against the command, beside a fifth of either
-  double velocity_rad_s = 25.0;  ///< change of speed beyond what torque, load and friction can explain
+  double velocity_rad_s = 25.0;  ///< change of speed beyond what torque, load and friction can explain; and
+                                 ///< 10 ms away from a commanded speed
   double position_rad = 0.3;     ///< position against the integral of the velocity, beside 3 ms of motion
   double force_N = 2500.0;       ///< force against compression, beside 5 ms of motion and a few percent
 
@@ -72,6 +73,8 @@ struct ReadingContext {
 /// be anything that a brake of this product can have.
 ///
 ///   torque against command      the drive does within three commands what it was told
+///   velocity against command    in its place where the brake is told its speed: it takes it up as fast as a
+///                               part of the torque limit allows
 ///   velocity against torque     J v' = T - N F - Tf(F, v), with intervals for J, N, Tf; the same for the
 ///   velocity that
 ///                               the position's differences give
@@ -88,13 +91,19 @@ class ReadingMonitor {
   /// Samples by which a force reading may lag.
   static constexpr int kForceLag = 5;
 
-  ReadingMonitor(const ReadingTolerances& tolerances, const NominalDrive& drive) noexcept
-      : ReadingMonitor(tolerances, Bounds(drive, tolerances.force_N)) {}
+  /// `torque_limit_Nm`: of the brake's drive.
+  ReadingMonitor(const ReadingTolerances& tolerances, const NominalDrive& drive,
+                 double torque_limit_Nm) noexcept
+      : ReadingMonitor(tolerances, Bounds(drive, tolerances.force_N, torque_limit_Nm)) {}
 
   /// Forgets everything but the commands: a check begins.
   CLAMPD_REALTIME void restart() noexcept;
   /// What was sent in a tick.
-  CLAMPD_REALTIME void commanded(double torque_Nm) noexcept { torques_Nm_.push(kCommanded, torque_Nm); }
+  CLAMPD_REALTIME void commanded(const DriveCommand& command) noexcept {
+    commanded_ = command.commanded;
+    torques_Nm_.push(kCommanded, command.torque_Nm);
+    if (commanded_ == CommandedQuantity::Velocity) speeds_.push(command.velocity_rad_s);
+  }
 
   /// The next sample. None, or the cause that names the reading.
   CLAMPD_REALTIME FaultCause observe(const BrakeFeedback& feedback, const ReadingContext& context) noexcept;
@@ -116,7 +125,7 @@ class ReadingMonitor {
     };
 
     /// `force_tolerance_N`: how far the force at which a slope is looked up may be wrong.
-    Bounds(const NominalDrive& drive, double force_tolerance_N) noexcept;
+    Bounds(const NominalDrive& drive, double force_tolerance_N, double torque_limit_Nm) noexcept;
     Slope slope(double force_N) const noexcept;
     double slope_from_curve_N_rad(double force_N) const noexcept;
     DryFriction friction(double force_N) const noexcept;
@@ -126,6 +135,7 @@ class ReadingMonitor {
     DryFriction unloaded;  ///< the most friction without force
     double load_friction_Nm_N = 0.0, viscous_Nm_s_rad = 0.0;
     double light_per_kg_m2 = 0.0, heavy_per_kg_m2 = 0.0;  ///< one over the least and the largest inertia
+    double most_torque_Nm = 0.0;  ///< of the drive
     double steep_rad = 0.0;  ///< compression to where the nominal stiffness is steep
     double top_rad = 0.0;    ///< compression of the largest force on the nominal curve
     /// At equal steps of the root of the force, over which the stiffness is nearly straight; the last step
@@ -168,6 +178,24 @@ class ReadingMonitor {
     std::size_t oldest_ = 0;
   };
 
+  /// Where the speed of a brake may be that does what it was told.
+  class Speeds {
+   public:
+    void push(double commanded_rad_s) noexcept {
+      commanded_rad_s_[oldest_] = commanded_rad_s;
+      oldest_ = (oldest_ + 1) % kHistory;
+    }
+    void begin_at(double velocity_rad_s) noexcept { lower_rad_s_ = upper_rad_s_ = velocity_rad_s; }
+    /// By how much both velocities lie outside, once the brake has had time for this change of them. Not
+    /// positive within.
+    Pair outside_rad_s(Pair velocity_rad_s, double change_rad_s) noexcept;
+
+   private:
+    std::array<double, kHistory> commanded_rad_s_{};  ///< the last ones, in no order
+    std::size_t oldest_ = 0;
+    double lower_rad_s_ = 0.0, upper_rad_s_ = 0.0;
+  };
+
   /// Both velocities against the torque.
   struct Momentum {
     Pair before_rad_s{};
@@ -186,13 +214,15 @@ class ReadingMonitor {
   /// How large each contradiction is, as a share of what is tolerated; 1 is one.
   struct Levels {
     double torque = 0.0, position = 0.0, by_velocity = 0.0, by_position = 0.0, force = 0.0, compression = 0.0;
-    bool velocity_stuck = false, force_stuck = false;
+    Pair speed{};
+    bool velocity_stuck = false, force_stuck = false, contact_known = false;
   };
 
   ReadingMonitor(const ReadingTolerances& tolerances, const Bounds& bounds) noexcept
       : tolerances_(tolerances), bounds_(bounds) {}
   void begin_at(const BrakeFeedback& feedback) noexcept;
   double compare_torque(double reading_Nm, double least_Nm, double most_Nm, double samples) noexcept;
+  Pair compare_speed(Pair velocity_rad_s, double elapsed_s) noexcept;
   Drivers drivers(double least_Nm, double most_Nm, double elapsed_s, bool stop_ahead) const noexcept;
   Pair compare_momentum(const Drivers& drivers, Pair velocity_rad_s) noexcept;
   double compare_position(double velocity_rad_s, double step_rad, double elapsed_s) noexcept;
@@ -201,6 +231,8 @@ class ReadingMonitor {
                              const ReadingContext& context) const noexcept;
   FaultCause verdict(const Levels& levels) const noexcept;
   FaultCause position_or_velocity() const noexcept;
+  FaultCause torque_or_force(const Levels& levels) const noexcept;
+  static FaultCause speed_verdict(const Levels& levels) noexcept;
   bool encoder_stands_still() const noexcept;
 
   static constexpr std::int64_t kNoSample = std::numeric_limits<std::int64_t>::min() / 2;
@@ -209,7 +241,9 @@ class ReadingMonitor {
   Bounds bounds_;
 
   std::array<double, kForceLag> positions_rad_{};  ///< that go with forces_N_
+  CommandedQuantity commanded_ = CommandedQuantity::Torque;
   Torques torques_Nm_;
+  Speeds speeds_;
   Forces forces_N_;
   double force_N_ = 0.0;  ///< their median
 
@@ -217,6 +251,7 @@ class ReadingMonitor {
   int settling_ = 0;                ///< samples until the histories are filled
 
   double torque_excess_Nm_ = 0.0;     ///< beyond the commands' range, accumulated over samples
+  Pair speed_excess_rad_s_{};         ///< likewise, of both velocities
   double position_excess_rad_ = 0.0;  ///< travel that the velocity does not explain
   double common_speed_rad_s_ = 0.0;   ///< at which both readings say it moved lately
   double force_rate_N_ = 0.0;         ///< change of force a sample that the motion explains, lately

@@ -164,8 +164,7 @@ inline void Supervisor::check_drive(const BrakeFeedback& feedback) noexcept {
 }
 
 inline void Supervisor::check_limits(const BrakeFeedback& feedback) noexcept {
-  const bool closing =
-      last_torque_sent_Nm_ > 0.0 || feedback.velocity_rad_s > settings_.opening_velocity_rad_s;
+  const bool closing = told_to_close_ || feedback.velocity_rad_s > settings_.opening_velocity_rad_s;
   if (feedback.force_N > (closing ? settings_.force_limit_N : settings_.force_ceiling_N))
     raise(FaultCause::OverForce);
   if (std::abs(feedback.velocity_rad_s) > settings_.speed_limit_rad_s) raise(FaultCause::OverSpeed);

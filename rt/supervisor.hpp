@@ -98,14 +98,16 @@ class Supervisor {
  public:
   /// `policy` must outlive the supervisor.
   explicit Supervisor(const SupervisorSettings& settings, const Policy& policy = kPolicy) noexcept
-      : settings_(settings), policy_(&policy), monitor_(settings.readings, settings.drive) {}
+      : settings_(settings),
+        policy_(&policy),
+        monitor_(settings.readings, settings.drive, settings.torque_limit_Nm) {}
 
   CLAMPD_REALTIME void begin_tick(const TickInputs& inputs) noexcept;
   CLAMPD_REALTIME void observe(const BrakeFeedback& feedback) noexcept;
   /// Where the check stands after its step on the sample just observed, and what it knows of the brake.
   CLAMPD_REALTIME void follow(CheckPhase phase, bool done, const ReadingContext& context) noexcept;
   CLAMPD_REALTIME void end_samples() noexcept;
-  CLAMPD_REALTIME void sent(bool handed_over, double torque_Nm) noexcept;
+  CLAMPD_REALTIME void sent(bool handed_over, const DriveCommand& command) noexcept;
 
   /// Starts a check. False, and nothing happens, unless IDLE.
   CLAMPD_REALTIME bool arm() noexcept;
@@ -179,7 +181,7 @@ class Supervisor {
   EventBudget frozen_;
   EventBudget implausible_;
   std::uint64_t send_failures_in_a_row_ = 0;
-  double last_torque_sent_Nm_ = 0.0;
+  bool told_to_close_ = false;  ///< by the last command
 
   bool has_previous_ = false;
   BrakeFeedback previous_;
@@ -212,9 +214,9 @@ inline void Supervisor::end_samples() noexcept {
   if (state_ == StationState::Init || state_ == StationState::Armed) check_waiting();
 }
 
-inline void Supervisor::sent(bool handed_over, double torque_Nm) noexcept {
-  last_torque_sent_Nm_ = torque_Nm;
-  monitor_.commanded(torque_Nm);
+inline void Supervisor::sent(bool handed_over, const DriveCommand& command) noexcept {
+  told_to_close_ = command.torque_Nm > 0.0 || command.velocity_rad_s > 0.0;
+  monitor_.commanded(command);
   if (handed_over) {
     send_failures_in_a_row_ = 0;
   } else if (++send_failures_in_a_row_ > settings_.send_failures_tolerated) {

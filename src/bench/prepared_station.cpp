@@ -411,6 +411,7 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
   Result<can::ProtocolCodec> codec = build_codec(configuration);
   if (!codec) return tl::unexpected(codec.error());
   station.codec = std::move(*codec);
+  station.plan.commanded = station.codec.commanded;
   if (const Result<void> carried = check_bus(configuration, station.codec); !carried)
     return tl::unexpected(carried.error());
   station.supervisor = supervisor_settings(configuration);
@@ -423,6 +424,7 @@ Result<PreparedStation> prepare_station(const StationConfiguration& configuratio
   for (Recipe& recipe : *recipes) {
     Result<PreparedRecipe> prepared = prepare_recipe(station, std::move(recipe));
     if (!prepared) return tl::unexpected(prepared.error());
+    prepared->plan.commanded = station.codec.commanded;
     station.recipes.push_back(std::move(*prepared));
   }
   return station;

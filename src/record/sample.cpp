@@ -104,6 +104,8 @@ std::string_view to_string(FaultCause cause) noexcept {
       return "deadline-passed";
     case FaultCause::StationEnded:
       return "station-ended";
+    case FaultCause::SpeedNotFollowed:
+      return "speed-not-followed";
   }
   return "?";
 }

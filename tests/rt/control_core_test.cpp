@@ -291,6 +291,38 @@ TEST(ControlCore, LimitsWhatTheSequenceAsksFor) {
   EXPECT_EQ(station.port.attempted.torque_Nm, 0.0);
 }
 
+TEST(ControlCore, ABrakeThatIsToldItsSpeedIsStoppedByTheDriveNotBySpeedZero) {
+  const SupervisorSettings settings;
+  const auto started = [](ToyStation& station, StationState state) {
+    ToySequence::torque_Nm = 0.0;
+    ToySequence::velocity_rad_s = 50.0;
+    station.plan.commanded = CommandedQuantity::Velocity;
+    return station.reach(state);
+  };
+  ToyStation station;
+  ASSERT_TRUE(started(station, StationState::Armed));
+  EXPECT_TRUE(station.port.last.enable) << "live, and at rest";
+  EXPECT_EQ(station.port.last.commanded, CommandedQuantity::Velocity);
+  EXPECT_EQ(station.port.last.velocity_rad_s, 0.0);
+  station.ticks(50);
+  EXPECT_EQ(station.port.last.velocity_rad_s, 50.0);
+  EXPECT_EQ(station.port.last.torque_Nm, 0.0);
+  ToySequence::velocity_rad_s = -1e6;
+  station.tick();
+  EXPECT_EQ(station.port.last.velocity_rad_s, -settings.speed_limit_rad_s);
+  station.core.requests().emergency_stop = true;
+  station.tick();
+  EXPECT_EQ(station.fault(), FaultCause::EmergencyStop);
+  EXPECT_TRUE(station.drive_is_off());
+
+  ToyStation other;
+  ASSERT_TRUE(started(other, StationState::Running));
+  ToySequence::velocity_rad_s = std::numeric_limits<double>::quiet_NaN();
+  other.tick();
+  EXPECT_EQ(other.fault(), FaultCause::NonFinite);
+  EXPECT_TRUE(other.drive_is_off());
+}
+
 TEST(ControlCore, CountsSkippedPeriodsForTheCheckAndForGood) {
   ToyStation station;
   ASSERT_TRUE(station.reach(StationState::Idle));

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <functional>
+#include <optional>
 
 #include <gtest/gtest.h>
 
@@ -17,7 +18,9 @@ class MovingBrake {
 
   /// One sample, after which `torque_Nm` acts; `spoil` may change what the monitor sees of it.
   FaultCause sample(double torque_Nm, const std::function<void(BrakeFeedback&)>& spoil = {}) {
-    monitor_.commanded(torque_Nm);
+    monitor_.commanded(told_rad_s ? DriveCommand{.velocity_rad_s = *told_rad_s,
+                                                 .commanded = CommandedQuantity::Velocity}
+                                  : DriveCommand{.torque_Nm = torque_Nm});
     BrakeFeedback feedback;
     feedback.sample_index = index_++;
     feedback.torque_Nm = torque_Nm;
@@ -45,6 +48,7 @@ class MovingBrake {
   double position_rad() const { return position_rad_; }
 
   ReadingContext context;
+  std::optional<double> told_rad_s;  ///< in place of the torque
   int taken = 0;
 
  private:
@@ -63,7 +67,7 @@ class MovingBrake {
   }
 
   NominalDrive drive_;
-  ReadingMonitor monitor_{ReadingTolerances{}, drive_};
+  ReadingMonitor monitor_{ReadingTolerances{}, drive_, 3.1};
   std::int64_t index_ = 0;
   double position_rad_;
   double velocity_rad_s_ = 0.0;
@@ -181,6 +185,44 @@ TEST(ReadingMonitor, AnOutlierOfTheForceIsNoFault) {
     ASSERT_EQ(bench.sample(1.0, [&](BrakeFeedback& f) { f.force_N += i % 10 == 0 ? 2000.0 : 0.0; }),
               FaultCause::None)
         << i;
+}
+
+TEST(ReadingMonitor, ASpeedThatIsNotTakenUpIsNamedInABoundedTime) {
+  for (const double told_rad_s : {20.0, -30.0, 220.0, -220.0}) {
+    MovingBrake bench;
+    bench.told_rad_s = told_rad_s;
+    EXPECT_EQ(bench.samples(200, 0.0), FaultCause::SpeedNotFollowed) << told_rad_s;
+    EXPECT_LE(bench.taken, 60) << told_rad_s;
+  }
+  // It runs on, though told to stand.
+  MovingBrake bench(-40.0);
+  ASSERT_EQ(bench.samples(20, 2.0), FaultCause::None);
+  bench.told_rad_s = 0.0;
+  const double coasting_Nm = 0.12;
+  EXPECT_EQ(bench.samples(200, coasting_Nm), FaultCause::SpeedNotFollowed);
+  EXPECT_LE(bench.taken, 60);
+}
+
+TEST(ReadingMonitor, ASpeedMayBeTakenUpAsFastAsTheTorqueAllows) {
+  MovingBrake bench(-60.0);
+  for (const double told_rad_s : {220.0, 0.0, -30.0, 220.0, 120.0, 0.0}) {
+    bench.told_rad_s = told_rad_s;
+    for (int k = 0; k < 120; ++k) {
+      const double torque_Nm = std::clamp(0.1 * (told_rad_s - bench.velocity_rad_s()), -2.5, 2.5);
+      ASSERT_EQ(bench.sample(torque_Nm), FaultCause::None) << told_rad_s << " rad/s, sample " << k;
+    }
+  }
+}
+
+TEST(ReadingMonitor, WhereABrakeFollowsItsSpeedTheTorqueReadingIsWrong) {
+  MovingBrake bench(-60.0);
+  bench.context.contact_known = true;
+  bench.told_rad_s = 100.0;
+  FaultCause cause = FaultCause::None;
+  for (int k = 0; k < 400 && cause == FaultCause::None; ++k)
+    cause = bench.sample(std::clamp(0.1 * (100.0 - bench.velocity_rad_s()), -2.5, 2.5),
+                         [&](BrakeFeedback& f) { f.torque_Nm += k > 60 ? 1.0 : 0.0; });
+  EXPECT_EQ(cause, FaultCause::TorqueReading);
 }
 
 TEST(RepeatWatch, LearnsHowOftenANoisyReadingRepeatsItself) {

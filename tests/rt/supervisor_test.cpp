@@ -33,7 +33,7 @@ struct Bench {
       supervisor.follow(phase, false, {});
     }
     supervisor.end_samples();
-    supervisor.sent(true, torque_sent_Nm);
+    supervisor.sent(true, {.torque_Nm = torque_sent_Nm, .velocity_rad_s = velocity_sent_rad_s});
     inputs.clear = false;
     inputs.operator_stop = false;
     inputs.skipped_periods = 0;
@@ -59,6 +59,7 @@ struct Bench {
   BrakeFeedback feedback;
   CheckPhase phase = CheckPhase::Trajectory;
   double torque_sent_Nm = 0.0;
+  double velocity_sent_rad_s = 0.0;
   bool drive_works = true;
 };
 
@@ -312,6 +313,18 @@ TEST(Supervisor, ABrakeClampedBeyondTheLimitMayBeOpened) {
   EXPECT_EQ(bench.supervisor.state(), StationState::Running);
   bench.feedback.velocity_rad_s = 0.0;
   bench.torque_sent_Nm = 0.1;
+  bench.ticks(2);
+  EXPECT_EQ(bench.supervisor.fault(), FaultCause::OverForce);
+}
+
+TEST(Supervisor, ABrakeThatIsToldToCloseBeyondTheLimitIsStopped) {
+  Bench bench;
+  bench.reach(StationState::Running);
+  bench.feedback.force_N = 34e3;
+  bench.velocity_sent_rad_s = -30.0;
+  bench.ticks(5);
+  EXPECT_EQ(bench.supervisor.state(), StationState::Running) << "it opens";
+  bench.velocity_sent_rad_s = 5.0;
   bench.ticks(2);
   EXPECT_EQ(bench.supervisor.fault(), FaultCause::OverForce);
 }

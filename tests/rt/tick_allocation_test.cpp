@@ -62,7 +62,11 @@ TEST(Tick, NeverAllocates) {
       if (i % 1700 == 1600) ++port.counts.bus_off_events;
       ToySequence::torque_Nm = i % 900 == 899 ? std::numeric_limits<double>::quiet_NaN() : 0.5;
       if (i % 2100 == 2000) station.stop();
-      if (station.state() == StationState::Idle) station.start();
+      if (station.state() == StationState::Idle) {
+        station.plan.commanded = i % 2 == 0 ? CommandedQuantity::Torque : CommandedQuantity::Velocity;
+        ToySequence::velocity_rad_s = i % 2 == 0 ? 0.0 : 5.0;
+        station.start();
+      }
       if (station.core.status().clearable) requests.clear = true;
       station.tick(i % 400 == 399 ? 1 : 0);
       Sample sample;

@@ -38,7 +38,7 @@ class ToyPort final : public BrakePort {
   bool send(const DriveCommand& command, std::int64_t) noexcept override {
     ++sends;
     attempted = command;
-    if (command.enable && command.torque_Nm != 0.0) ++driven_sends;
+    if (command.enable && (command.torque_Nm != 0.0 || command.velocity_rad_s != 0.0)) ++driven_sends;
     if (send_fails) return false;
     last = command;
     return true;
@@ -69,6 +69,7 @@ class ToySequence {
   static constexpr double kTorque_Nm = 0.5;
 
   static inline double torque_Nm = kTorque_Nm;
+  static inline double velocity_rad_s = 0.0;  ///< for a plan that commands speeds
   static inline FaultCause fault = FaultCause::None;
   static inline int abandoned = 0;
   static inline int concluded = 0;  ///< samples for which it was told so
@@ -76,6 +77,7 @@ class ToySequence {
   static inline int steps_after_end = 0;
   static void reset() {
     torque_Nm = kTorque_Nm;
+    velocity_rad_s = 0.0;
     fault = FaultCause::None;
     abandoned = 0;
     concluded = 0;
@@ -91,6 +93,7 @@ class ToySequence {
     if (plan_ == nullptr) ++steps_after_end;
     SequenceOutput output;
     output.torque_Nm = torque_Nm;
+    output.velocity_rad_s = velocity_rad_s;
     output.fault = fault;
     output.repeat = 3;
     if (step_ < kTrajectorySteps) {
@@ -101,7 +104,7 @@ class ToySequence {
       output.phase = CheckPhase::Release;
     } else {
       output.phase = CheckPhase::Done;
-      output.torque_Nm = 0.0;
+      output.torque_Nm = output.velocity_rad_s = 0.0;
     }
     ++step_;
     return output;
@@ -140,7 +143,10 @@ struct ToyStation {
   std::uint64_t stop() { return core.requests().stop(now_ns); }
   StationState state() const { return core.status().state.load(); }
   FaultCause fault() const { return core.status().fault.load(); }
-  bool drive_is_off() const { return !port.attempted.enable && port.attempted.torque_Nm == 0.0; }
+  bool drive_is_off() const {
+    const DriveCommand& command = port.attempted;
+    return !command.enable && command.torque_Nm == 0.0 && command.velocity_rad_s == 0.0;
+  }
 
   /// Brings a fresh station to `target` by ordinary means. False if it did not get there.
   bool reach(StationState target) {

@@ -56,8 +56,9 @@ enum class FaultCause : std::uint8_t {
                              ///< encoder behind both, a drive without torque, or a brake that is blocked
   DeadlinePassed = 28,       ///< the whole check did not end in time
   StationEnded = 29,         ///< the station's program was told to end
+  SpeedNotFollowed = 30,     ///< a brake that is told its speed does not take it up
 };
-inline constexpr std::size_t kFaultCauseCount = static_cast<std::size_t>(FaultCause::StationEnded) + 1;
+inline constexpr std::size_t kFaultCauseCount = static_cast<std::size_t>(FaultCause::SpeedNotFollowed) + 1;
 std::string_view to_string(FaultCause cause) noexcept;
 
 /// One brake sample as the loop logs it. Trivially copyable: it travels through the lock-free ring.
@@ -69,7 +70,8 @@ struct Sample {
   double velocity_rad_s = 0.0;
   double force_N = 0.0;
   double position_rad = 0.0;
-  double torque_command_Nm = 0.0;      ///< sent in answer to this sample; acts from the next one on
+  double torque_command_Nm = 0.0;      ///< sent in answer to this sample; acts from the next one on; 0 to a
+                                       ///< brake that is told its speed
   double force_reference_N = 0.0;      ///< the reference at this sample; 0 outside of a trajectory
   std::int32_t lateness_ns = 0;        ///< wake-up lateness of the tick that took it
   std::int32_t trajectory_index = -1;  ///< row of the trajectory, -1 outside of a run
