@@ -42,6 +42,8 @@ constexpr std::array kPlantKeys = {
     Key<PlantConfiguration>{"closed_stop_rad", &PlantConfiguration::closed_stop_rad, 0.0, 1000.0},
     Key<PlantConfiguration>{"torque_limit_Nm", &PlantConfiguration::torque_limit_Nm, 0.0, 10.0},
     Key<PlantConfiguration>{"watchdog_s", &PlantConfiguration::watchdog_s, 0.002, 1.0},
+    Key<PlantConfiguration>{"speed_bandwidth_rad_s", &PlantConfiguration::speed_bandwidth_rad_s, 0.0, 1000.0},
+    Key<PlantConfiguration>{"speed_period_s", &PlantConfiguration::speed_period_s, 1e-6, 1e-3},
     Key<PlantConfiguration>{"step_s", &PlantConfiguration::step_s, 1e-6, 20e-6},
     Key<PlantConfiguration>{"sampling_jitter_s", &PlantConfiguration::sampling_jitter_s, 0.0, 100e-6},
 };

@@ -51,6 +51,12 @@ struct PlantConfiguration {
   double closed_stop_rad = 90.0;  ///< and this far closed
   double torque_limit_Nm = 3.0;   ///< of the drive, both directions
   double watchdog_s = 0.020;      ///< without a valid command, torque is zero by then
+  // Of the loop that makes the torque of a brake that is told its speed: proportional and integral, on the
+  // velocity that its reading shows.
+  double speed_bandwidth_rad_s = 400.0;
+  double speed_period_s = 1e-3;  ///< how long it holds a torque, at most until the next sample
+  /// False: a velocity that is spoiled lies on the bus only, and the loop sees it as it is.
+  bool speed_loop_is_spoiled = true;
   double step_s = 20e-6;          ///< of the integrator, at most 20 us
   /// Of its sampling instants about the millisecond (standard deviation; cut off at three of them). Its clock
   /// tells them, and its frames come as late or early.

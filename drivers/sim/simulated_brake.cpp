@@ -29,7 +29,9 @@ SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration, int samp
       spoiler_(configuration.spoiled, configuration.seed + 1),
       cycle_ns_(kPeriod_ns / samples_per_period),
       cycle_s_(kPeriod_s / samples_per_period),
-      steps_(static_cast<int>(std::ceil(cycle_s_ / configuration.step_s - 1e-9))) {
+      steps_(static_cast<int>(std::ceil(cycle_s_ / configuration.step_s - 1e-9))),
+      speed_steps_(std::clamp(static_cast<int>(std::lround(configuration.speed_period_s / cycle_s_ * steps_)),
+                              1, steps_)) {
   CLAMPD_ASSERT(configuration.validate().has_value());
   state_.position_rad = -configuration.clearance_rad;
   state_.pad_position_rad = state_.position_rad;
@@ -74,6 +76,25 @@ void SimulatedBrake::latch_command() noexcept {
       torque_Nm_ = 0.0;
     }
   }
+  follow_speed(speed_steps_ * cycle_s_ / steps_);
+}
+
+/// The torque for the next step h, if the brake is told its speed. Where the torque is limited, the integral
+/// waits.
+void SimulatedBrake::follow_speed(double h) noexcept {
+  if (!enabled_) integral_Nm_ = 0.0;
+  if (!enabled_ || newest_.commanded != CommandedQuantity::Velocity) return;
+  if (!std::isfinite(newest_.velocity_rad_s)) {
+    torque_Nm_ = 0.0;
+    return;
+  }
+  const double bandwidth_rad_s = configuration_.speed_bandwidth_rad_s;
+  const double gain_Nm_s_rad = configuration_.brake.fixed.inertia_kg_m2 * bandwidth_rad_s;
+  const double missing_rad_s = newest_.velocity_rad_s - (state_.velocity_rad_s + velocity_error_rad_s_);
+  const double wanted_Nm = gain_Nm_s_rad * missing_rad_s + integral_Nm_;
+  torque_Nm_ = std::clamp(wanted_Nm, -configuration_.torque_limit_Nm, configuration_.torque_limit_Nm);
+  if (torque_Nm_ == wanted_Nm || missing_rad_s * wanted_Nm < 0.0)
+    integral_Nm_ += 0.25 * bandwidth_rad_s * gain_Nm_s_rad * missing_rad_s * h;
 }
 
 BrakeFeedback SimulatedBrake::read() noexcept {
@@ -115,6 +136,8 @@ BrakeFeedback SimulatedBrake::read() noexcept {
   feedback.watchdog_tripped = tripped_;
   unspoiled_ = feedback;
   spoiler_.apply(feedback, time_s);
+  velocity_error_rad_s_ =
+      (configuration_.speed_loop_is_spoiled ? feedback : unspoiled_).velocity_rad_s - state_.velocity_rad_s;
   return feedback;
 }
 
@@ -124,6 +147,10 @@ void SimulatedBrake::advance() noexcept {
       lateness_s_, jitter_s > 0.0 ? std::clamp(gaussian(jitter_s), -3.0 * jitter_s, 3.0 * jitter_s) : 0.0);
   const double h = (cycle_s_ + lateness_s_ - before_s) / steps_;
   for (int i = 0; i < steps_; ++i) {
+    if (i > 0 && i % speed_steps_ == 0) {
+      follow_speed(h * speed_steps_);
+      if (configuration_.effects.torque_lag_s <= 0.0) state_.torque_Nm = torque_Nm_;
+    }
     step(h);
     newest_force_ = (newest_force_ + 1) % force_history_N_.size();
     force_history_N_[newest_force_] =

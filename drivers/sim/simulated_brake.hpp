@@ -30,8 +30,8 @@ struct Truth {
 /// Runge-Kutta scheme with event location there. With effects it disagrees in its physics, too.
 ///
 /// It samples on its own 1 kHz clock. At an instant k it latches the newest command, takes its readings, and
-/// holds that torque until k + 1. Pure: no I/O, no clock; one call of sample() is one millisecond. Neither
-/// command() nor sample() allocates.
+/// holds that torque until k + 1; told a speed, it makes the torque by a loop of its own. Pure: no I/O, no
+/// clock; one call of sample() is one millisecond. Neither command() nor sample() allocates.
 class SimulatedBrake {
  public:
   /// `configuration` must be valid.
@@ -70,6 +70,7 @@ class SimulatedBrake {
   };
 
   void latch_command() noexcept;
+  void follow_speed(double h) noexcept;
   BrakeFeedback read() noexcept;
   void advance() noexcept;
   void step(double h) noexcept;
@@ -97,13 +98,16 @@ class SimulatedBrake {
   std::int64_t silent_samples_ = 0;
   bool enabled_ = false;
   bool tripped_ = false;
-  double torque_Nm_ = 0.0;  ///< latched
+  double torque_Nm_ = 0.0;  ///< latched, or made by the speed loop
+  double integral_Nm_ = 0.0;           ///< of the speed loop
+  double velocity_error_rad_s_ = 0.0;  ///< of the reading that it sees, as of the last sample
   std::int64_t index_ = 0;
   double lateness_s_ = 0.0;
   std::uint32_t run_ = 0;
   std::int64_t cycle_ns_;
   double cycle_s_;
   int steps_ = 1;                        ///< of the integrator in a sample
+  int speed_steps_ = 1;                  ///< and for how many the speed loop holds a torque
   std::vector<double> force_history_N_;  ///< what the load cell had at each step of late, a ring
   std::size_t newest_force_ = 0;         ///< the step just made
 };

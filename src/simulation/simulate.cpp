@@ -32,6 +32,7 @@ SimulatedCheck simulate_check(const sim::PlantConfiguration& plant, const Refere
   plan.reference = reference;
   plan.drive = nominal_drive(nominal);
   plan.repeats = options.repeats;
+  plan.commanded = options.commanded;
   rt::CheckSequence sequence;
   sequence.start(&plan);
   sim::SimulatedBrake brake(plant);
@@ -43,7 +44,7 @@ SimulatedCheck simulate_check(const sim::PlantConfiguration& plant, const Refere
   for (std::int64_t k = 0; !sequence.done(); ++k) {
     const BrakeFeedback feedback = brake.sample();
     const rt::SequenceOutput output = sequence.step(feedback);
-    brake.command({output.torque_Nm, true});
+    brake.command({output.torque_Nm, true, output.velocity_rad_s, options.commanded});
     check.duration_s = static_cast<double>(k + 1) * kPeriod_s;
     check.phase = output.phase;
     check.force_max_N = std::max(check.force_max_N, brake.truth().force_N);

@@ -18,8 +18,15 @@
 
 namespace clampd::bench {
 
-inline PreparedStation prepared() {
-  Result<PreparedStation> station = prepare_station(StationConfiguration{});
+/// Of the shipped brake, or of the same one that is told its speed.
+inline PreparedStation prepared(CommandedQuantity commanded = CommandedQuantity::Torque) {
+  StationConfiguration configuration;
+  if (commanded == CommandedQuantity::Velocity) {
+    configuration.can.dbc = CLAMPD_SOURCE_DIR "/tests/support/speed_brake.dbc";
+    configuration.can.mapping = {{"torque_command", ""},
+                                 {"velocity_command", "BrakeCommand.VelocityCommand"}};
+  }
+  Result<PreparedStation> station = prepare_station(configuration);
   EXPECT_TRUE(station) << station.error().message;
   return std::move(*station);
 }
@@ -40,14 +47,16 @@ inline CheckRequest request(std::uint32_t repeats) {
 
 /// Error: the station refuses to begin.
 inline Result<CheckRecord> try_check(const sim::PlantConfiguration& brake, std::uint32_t repeats,
-                                     const EmbeddedStation::Progress& progress = nullptr) {
-  EmbeddedStation station(prepared(), brake);
+                                     const EmbeddedStation::Progress& progress = nullptr,
+                                     CommandedQuantity commanded = CommandedQuantity::Torque) {
+  EmbeddedStation station(prepared(commanded), brake);
   return station.run_check(request(repeats), nullptr, progress);
 }
 
 inline CheckRecord check(const sim::PlantConfiguration& brake, std::uint32_t repeats,
-                         const EmbeddedStation::Progress& progress = nullptr) {
-  Result<CheckRecord> record = try_check(brake, repeats, progress);
+                         const EmbeddedStation::Progress& progress = nullptr,
+                         CommandedQuantity commanded = CommandedQuantity::Torque) {
+  Result<CheckRecord> record = try_check(brake, repeats, progress, commanded);
   if (!record) throw std::runtime_error("no record of the check: " + record.error().message);
   return *record;
 }

@@ -135,8 +135,8 @@ void count(SpoilTally& tally, const sim::SpoiledReading& spoiled, const CheckOut
 }
 
 /// What the supervisor lets pass, the estimate has to notice: the same brake in a whole check.
-std::string judge(SpoilTally& tally, const sim::PlantConfiguration& plant) {
-  const Result<CheckRecord> checked = bench::try_check(plant, 20);
+std::string judge(SpoilTally& tally, const sim::PlantConfiguration& plant, CommandedQuantity commanded) {
+  const Result<CheckRecord> checked = bench::try_check(plant, 20, nullptr, commanded);
   if (!checked) {
     ++tally.errors;
     return "refused: " + checked.error().message;
@@ -173,10 +173,11 @@ double quantile(std::vector<double> values, double share) {
 }  // namespace
 
 CheckOutcome drive_check(const sim::PlantConfiguration& plant, const Reference& reference,
-                         std::uint16_t repeats, const rt::SupervisorSettings& settings) {
+                         std::uint16_t repeats, CommandedQuantity commanded) {
   DirectPort port(plant);
-  rt::ControlCore core(port, settings, 16);
+  rt::ControlCore core(port, {}, 16);
   rt::CheckPlan plan;
+  plan.commanded = commanded;
   plan.reference = reference;
   plan.drive = nominal_drive(BrakeParameters{});
   plan.repeats = repeats;
@@ -266,17 +267,17 @@ bool names(FaultCause cause, Reading reading) {
     case Reading::Torque:
       return cause == FaultCause::TorqueReading;
     case Reading::Encoder:
-      return cause == FaultCause::TorqueAgainstMotion || cause == FaultCause::VelocityReading ||
-             cause == FaultCause::PositionReading;
+      return cause == FaultCause::TorqueAgainstMotion || cause == FaultCause::SpeedNotFollowed ||
+             cause == FaultCause::VelocityReading || cause == FaultCause::PositionReading;
   }
   return false;
 }
 
-SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged) {
+SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged, CommandedQuantity commanded) {
   const Reference reference = shipped_reference();
   const rt::SupervisorSettings limits;
   constexpr std::uint16_t kRepeats = 3;
-  const double duration_s = drive_check(noisy_plant(), reference, kRepeats).duration_s;
+  const double duration_s = drive_check(noisy_plant(), reference, kRepeats, commanded).duration_s;
   std::mt19937_64 random(seed);
   SpoilCampaign campaign;
   for (int i = 0; i < checks; ++i) {
@@ -287,7 +288,8 @@ SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged) {
     plant.seed = random();
     const sim::SpoiledReading spoiled = gross_spoil(reading, spoil, duration_s, random);
     plant.spoiled = {spoiled};
-    const CheckOutcome outcome = drive_check(plant, reference, kRepeats);
+    plant.speed_loop_is_spoiled = i % 2 == 0;
+    const CheckOutcome outcome = drive_check(plant, reference, kRepeats, commanded);
     SpoilTally& each = campaign.each[static_cast<std::size_t>(reading)][static_cast<std::size_t>(spoil)];
     const int before =
         campaign.all.unsafe + campaign.all.undetected + campaign.all.faults - campaign.all.named;
@@ -297,7 +299,7 @@ SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged) {
       campaign.remarks.push_back(describe(spoiled, outcome));
     if (outcome.fault != FaultCause::None || judged-- <= 0) continue;
     const int errors = each.errors, wrong = each.wrong;
-    const std::string verdict = judge(each, plant);
+    const std::string verdict = judge(each, plant, commanded);
     campaign.all.errors += each.errors - errors;
     campaign.all.wrong += each.wrong - wrong;
     campaign.remarks.push_back(describe(spoiled, outcome) + ": " + verdict);
@@ -305,7 +307,7 @@ SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged) {
   return campaign;
 }
 
-HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed) {
+HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed, CommandedQuantity commanded) {
   const Run trajectory = shipped_trajectory();
   std::vector<std::pair<std::string, Reference>> references{{"shipped", shipped_reference()}};
   for (const ManoeuvreInfo& info : manoeuvres())
@@ -354,7 +356,7 @@ HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed) {
     }
     const auto& [name, reference] =
         kind >= 6 ? references[static_cast<std::size_t>(i / 8) % references.size()] : references.front();
-    const CheckOutcome outcome = drive_check(plant, reference, kind >= 6 ? 1 : 2);
+    const CheckOutcome outcome = drive_check(plant, reference, kind >= 6 ? 1 : 2, commanded);
     ++campaign.checks;
     if (outcome.fault != FaultCause::None)
       campaign.faults.push_back(fmt::format("{} ({}): {} in {} at {:.3f} s", what, name,

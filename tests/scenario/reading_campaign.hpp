@@ -32,7 +32,7 @@ struct CheckOutcome {
 
 /// Drives one check to its end, and on for 0.3 s, so that the brake comes to rest.
 CheckOutcome drive_check(const sim::PlantConfiguration& plant, const Reference& reference,
-                         std::uint16_t repeats, const rt::SupervisorSettings& settings = {});
+                         std::uint16_t repeats, CommandedQuantity commanded = CommandedQuantity::Torque);
 
 /// A brake as wide as Table II with the noisiest sensors.
 sim::PlantConfiguration table_ii_brake(std::mt19937_64& random);
@@ -68,8 +68,9 @@ struct SpoilCampaign {
 
 /// `checks` checks, reading and kind in turn, everything else random from `seed`. Of those that no fault
 /// ends, the first `judged` are followed to their verdict, which takes seconds each: their runs are
-/// diagnosed.
-SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged);
+/// diagnosed. Of brakes that are told their speed, the loop of every other one sees what is spoiled, too.
+SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged,
+                                 CommandedQuantity commanded = CommandedQuantity::Torque);
 
 struct HealthyCampaign {
   int checks = 0;
@@ -77,7 +78,8 @@ struct HealthyCampaign {
 };
 
 /// `checks` healthy checks of all sorts of brakes; each of them that ends in a fault is named.
-HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed);
+HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed,
+                                     CommandedQuantity commanded = CommandedQuantity::Torque);
 
 void print(std::ostream& out, const SpoilCampaign& campaign);
 

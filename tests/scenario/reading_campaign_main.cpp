@@ -1,5 +1,5 @@
 // The campaign of spoiled and healthy checks, as long as one likes:
-//   reading_campaign [--checks 10000] [--healthy 10000] [--seed 1]
+//   reading_campaign [--checks 10000] [--healthy 10000] [--seed 1] [--told speed]
 
 #include <cstdlib>
 #include <iostream>
@@ -10,6 +10,7 @@
 int main(int argc, char** argv) {
   int checks = 1000, healthy = 0;
   std::uint64_t seed = 1;
+  auto commanded = clampd::CommandedQuantity::Torque;
   for (int i = 1; i + 1 < argc; i += 2) {
     const std::string_view option = argv[i];
     if (option == "--checks")
@@ -18,21 +19,23 @@ int main(int argc, char** argv) {
       healthy = std::atoi(argv[i + 1]);
     else if (option == "--seed")
       seed = std::strtoull(argv[i + 1], nullptr, 10);
+    else if (option == "--told" && argv[i + 1] == std::string_view("speed"))
+      commanded = clampd::CommandedQuantity::Velocity;
     else {
       std::cerr << "reading_campaign: unknown option '" << option
-                << "'; there are: --checks N, --healthy N, --seed N\n";
+                << "'; there are: --checks N, --healthy N, --seed N, --told speed\n";
       return 2;
     }
   }
   bool good = true;
   if (checks > 0) {
-    const auto campaign = clampd::scenario::run_spoil_campaign(checks, seed, checks);
+    const auto campaign = clampd::scenario::run_spoil_campaign(checks, seed, checks, commanded);
     for (const std::string& remark : campaign.remarks) std::cout << remark << '\n';
     print(std::cout, campaign);
     good = campaign.all.unsafe == 0 && campaign.all.wrong == 0;
   }
   if (healthy > 0) {
-    const auto campaign = clampd::scenario::run_healthy_campaign(healthy, seed);
+    const auto campaign = clampd::scenario::run_healthy_campaign(healthy, seed, commanded);
     for (const std::string& fault : campaign.faults) std::cout << fault << '\n';
     std::cout << campaign.checks << " healthy checks, " << campaign.faults.size() << " false faults\n";
     good = good && campaign.faults.empty();

@@ -34,6 +34,7 @@ struct SimulationOptions {
   std::uint16_t repeats = 1;
   std::uint32_t first_run = 0;  ///< how many this brake has done before, for what changes from run to run
   double timeout_s = 600.0;     ///< of bench time; then the fault is SequenceTimeout
+  CommandedQuantity commanded = CommandedQuantity::Torque;
 };
 
 /// Runs a whole check (open, tare, approach, repeats, release) of the brake `plant`, tracking `reference`.

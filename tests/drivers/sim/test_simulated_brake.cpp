@@ -172,6 +172,40 @@ TEST(SimulatedBrake, CommandActsFromTheNextSampleOnAndIsLimited) {
   EXPECT_EQ(brake.sample().torque_Nm, 0.0);
 }
 
+TEST(SimulatedBrake, ToldASpeedItTakesItUpWithinItsTorqueAndReportsThat) {
+  PlantConfiguration configuration;
+  configuration.torque_limit_Nm = 1.0;
+  SimulatedBrake brake(configuration);
+  const auto tell = [&](double velocity_rad_s, bool enable = true) {
+    brake.command({.enable = enable,
+                   .velocity_rad_s = velocity_rad_s,
+                   .commanded = CommandedQuantity::Velocity});
+    const BrakeFeedback feedback = brake.sample();
+    EXPECT_LE(std::abs(feedback.torque_Nm), configuration.torque_limit_Nm);
+    EXPECT_EQ(feedback.torque_Nm, brake.truth().torque_Nm);
+    return feedback;
+  };
+  for (int k = 0; k < 60; ++k) tell(50.0);
+  EXPECT_NEAR(tell(50.0).velocity_rad_s, 50.0, 0.5) << "friction leaves no error";
+  double least_rad_s = 50.0;
+  for (int k = 0; k < 60; ++k) least_rad_s = std::min(least_rad_s, tell(0.0).velocity_rad_s);
+  EXPECT_NEAR(tell(0.0).velocity_rad_s, 0.0, 0.1);
+  EXPECT_GT(least_rad_s, -20.0) << "the integral waited while the torque was limited";
+  tell(50.0);
+  EXPECT_NE(tell(50.0).torque_Nm, 0.0);
+  EXPECT_EQ(tell(50.0, false).torque_Nm, 0.0) << "disabled is no torque, not speed zero";
+  EXPECT_FALSE(tell(50.0, false).drive_enabled);
+}
+
+TEST(SimulatedBrake, TheWatchdogEndsASpeedToo) {
+  SimulatedBrake brake(PlantConfiguration{});
+  brake.command({.enable = true, .velocity_rad_s = 30.0, .commanded = CommandedQuantity::Velocity});
+  BrakeFeedback feedback;
+  for (int k = 0; k < 21; ++k) feedback = brake.sample();
+  EXPECT_TRUE(feedback.watchdog_tripped);
+  EXPECT_EQ(feedback.torque_Nm, 0.0);
+}
+
 TEST(SimulatedBrake, WatchdogZeroesTheTorqueAndLatchesUntilDisabled) {
   SimulatedBrake brake(at_contact());
   brake.command({0.3, true});
