@@ -130,6 +130,7 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
   smooth_force_N_ += 0.3 * (pair.force_N - smooth_force_N_);
   torque_Nm_ = feedback.torque_Nm;
   smooth_torque_Nm_ += 0.05 * (torque_Nm_ - smooth_torque_Nm_);
+  pressing_samples_ = torque_Nm_ <= -kOpeningTorque_Nm ? pressing_samples_ + 1 : 0;
   if (last_.context.contact_known)
     stiffness_.learn(pair.position_rad, pair.force_N, observer_.velocity_rad_s());
   observer_.predict(plan_->drive, feedback.torque_Nm, std::max(0.0, force_N_));
@@ -288,7 +289,7 @@ double CheckSequence::open() noexcept {
     enter(Stage::Rest);
   }
   const bool stalled = is_told_speed()
-                           ? still_samples_ >= kPressingSamples && torque_Nm_ <= -kOpeningTorque_Nm
+                           ? std::min(still_samples_, pressing_samples_) >= kPressingSamples
                            : still_samples_ >= kStallSamples;
   if (stalled && force_N < plan_->contact_force_N * kLearnFactor) enter(Stage::Rest);
   return keep_speed(-kOpeningSpeed_rad_s, force_N, kOpeningTorque_Nm);

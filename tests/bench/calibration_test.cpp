@@ -12,10 +12,13 @@
 namespace clampd::bench {
 namespace {
 
+/// By what the brakes are told.
+class Calibration : public ::testing::TestWithParam<CommandedQuantity> {};
+
 /// Guard bands rest on the reported standard deviations: over many brakes, the errors in units of them must
 /// be of unit size. The noise of each brake is its own; the torque reading is noisy, so that the Cramér-Rao
 /// figure alone would fail.
-TEST(EmbeddedStation, ReportedUncertaintyIsHonest) {
+TEST_P(Calibration, ReportedUncertaintyIsHonest) {
   constexpr int kChecks = 100;
   const ParameterVector nominal = nominal_parameters();
   ParameterVector squares = ParameterVector::Zero();
@@ -25,7 +28,7 @@ TEST(EmbeddedStation, ReportedUncertaintyIsHonest) {
     for (Eigen::Index p = 0; p < nominal.size(); ++p)
       brake.brake.theta[p] *=
           1.0 + 0.1 * std::sin(1.7 * static_cast<double>(i) + 2.3 * static_cast<double>(p));
-    const CheckRecord record = check(brake, 20);
+    const CheckRecord record = check(brake, 20, nullptr, GetParam());
     ASSERT_EQ(record.parameters.size(), kParameterCount) << record.reason;
     for (Eigen::Index p = 0; p < nominal.size(); ++p) {
       const ParameterRecord& parameter = record.parameters[static_cast<std::size_t>(p)];
@@ -45,6 +48,9 @@ TEST(EmbeddedStation, ReportedUncertaintyIsHonest) {
     EXPECT_GT(rms, 0.78) << name;
   }
 }
+
+INSTANTIATE_TEST_SUITE_P(ToldItsTorqueOrItsSpeed, Calibration,
+                         ::testing::Values(CommandedQuantity::Torque, CommandedQuantity::Velocity));
 
 /// The noisiest sensors that are supported: what the output error method cannot decide there, the prediction
 /// error method can, and the operator is told.
