@@ -62,7 +62,7 @@ Result<std::string> format_candump(const CheckRecord& record, const can::Protoco
       const std::int64_t stamp_ns = started_ns + reading.brake_time_ns;
       for (int i = 0; i < codec.commands_per_period; ++i)
         sent.emplace_back(stamp_ns - kPeriod_ns / 2 + i * codec.command_cycle_ns(),
-                          station.command({run.torque_Nm[k], true}));
+                          station.command({run.torque_Nm[k], true, run.velocity_rad_s[k], codec.commanded}));
       for (int i = 0; i < codec.samples_per_period; ++i) {
         const std::size_t count = brake.feedback(reading, frames);
         for (std::size_t frame = 0; frame < count; ++frame)

@@ -139,6 +139,24 @@ TEST_F(LogCheck, ARecordsOwnLogIsUnderstood) {
   EXPECT_EQ(finding.samples, record.runs[0].run.size() + record.runs[1].run.size());
 }
 
+TEST_F(LogCheck, KnowsABrakeThatIsToldItsSpeed) {
+  ProtocolMapping mapping;
+  mapping.torque_command = "";
+  mapping.velocity_command = "BrakeCommand.VelocityCommand";
+  const Database database = read_dbc(CLAMPD_SOURCE_DIR "/tests/support/speed_brake.dbc").value();
+  const ProtocolCodec codec = ProtocolCodec::build(database, mapping).value();
+  const CheckRecord record = bench::check(bench::plant(1), 2, nullptr, CommandedQuantity::Velocity);
+  const auto text = format_candump(record, codec, "can0");
+  ASSERT_TRUE(text);
+  const LogFinding finding = check_log(parsed(*text), database, mapping, codec);
+  EXPECT_THAT(finding.problems, IsEmpty());
+  EXPECT_EQ(finding.samples, record.runs[0].run.size() + record.runs[1].run.size());
+  const SignalFinding& command = finding.frames.front().signals.front();
+  EXPECT_EQ(command.name, "velocity command");
+  EXPECT_EQ(command.unit, "rad/s");
+  EXPECT_GT(command.most, 100.0);
+}
+
 TEST_F(LogCheck, NamesTheChecksumThatFits) {
   ProtocolMapping other = mapping_;
   other.protection.checksum = Checksum::E2e1a;
