@@ -168,10 +168,8 @@ inline double ReadingMonitor::Forces::median_N() const noexcept {
 
 void ReadingMonitor::restart() noexcept {
   const Torques torques_Nm = torques_Nm_;
-  const Speeds speeds = speeds_;
   *this = ReadingMonitor(tolerances_, bounds_);
   torques_Nm_ = torques_Nm;
-  speeds_ = speeds;
 }
 
 void ReadingMonitor::begin_at(const BrakeFeedback& feedback) noexcept {

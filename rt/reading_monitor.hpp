@@ -21,7 +21,7 @@ namespace clampd::rt {
 struct ReadingTolerances {
   double torque_Nm = 0.1;        ///< torque reading against the command, beside a fifth of either
   double velocity_rad_s = 25.0;  ///< change of speed beyond what torque, load and friction can explain; and
-                                 ///< 10 ms away from a commanded speed
+                                 ///< so much for 10 ms beside a commanded speed
   double position_rad = 0.3;     ///< position against the integral of the velocity, beside 3 ms of motion
   double force_N = 2500.0;       ///< force against compression, beside 5 ms of motion and a few percent
 
@@ -96,7 +96,7 @@ class ReadingMonitor {
                  double torque_limit_Nm) noexcept
       : ReadingMonitor(tolerances, Bounds(drive, tolerances.force_N, torque_limit_Nm)) {}
 
-  /// Forgets everything but the commands: a check begins.
+  /// Forgets everything but the torques that were commanded: a check begins, at rest.
   CLAMPD_REALTIME void restart() noexcept;
   /// What was sent in a tick.
   CLAMPD_REALTIME void commanded(const DriveCommand& command) noexcept {
