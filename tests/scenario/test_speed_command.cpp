@@ -106,6 +106,25 @@ TEST(SpeedCommand, StartsFromWhereverTheBrakeIsFoundAndHardlyPressesOnItsEndStop
   }
 }
 
+TEST(SpeedCommand, OpensABrakeThatStaysClampedAndNeverClosesIt) {
+  for (const double clearance_rad : {-32.5, -20.0, -5.0, 0.0, 26.0}) {
+    SCOPED_TRACE(clearance_rad);
+    sim::PlantConfiguration plant = noisy_plant();
+    plant.clearance_rad = clearance_rad;
+    SpeedCheck check(plant);
+    check.plan.open_only = true;
+    rt::SequenceOutput output = check.exchange();
+    const double force_before_N = check.brake.truth().force_N;
+    for (int k = 0; k < 20'000 && !check.sequence.done() && output.fault == FaultCause::None; ++k) {
+      output = check.exchange();
+      EXPECT_LE(check.brake.truth().force_N, force_before_N + 50.0);
+    }
+    EXPECT_EQ(output.fault, FaultCause::None) << to_string(output.phase);
+    EXPECT_TRUE(check.sequence.done());
+    EXPECT_EQ(check.brake.truth().force_N, 0.0);
+  }
+}
+
 TEST(SpeedCommand, AWholeCheckTakesNothingFromTheHeap) {
   SpeedCheck check(shipped_plant());
   const support::AllocationTrap trap;
