@@ -32,8 +32,7 @@ install(FILES systemd/clampd.tmpfiles DESTINATION /usr/lib/tmpfiles.d RENAME cla
 install(FILES systemd/clampd.modules DESTINATION /usr/lib/modules-load.d RENAME clampd.conf)
 install(FILES systemd/clampd.udev DESTINATION /lib/udev/rules.d RENAME 60-clampd.rules)
 install(FILES README.md ARCHITECTURE.md CHANGELOG.md DESTINATION ${CMAKE_INSTALL_DOCDIR})
-install(FILES docs/api.md docs/attribution.md docs/diagnosis.md docs/diagnosis.svg docs/line.md docs/metrics.md docs/recipes.md docs/sheet.md
-  DESTINATION ${CMAKE_INSTALL_DOCDIR}/docs)
+install(DIRECTORY docs/ DESTINATION ${CMAKE_INSTALL_DOCDIR}/docs)
 install(FILES LICENSE DESTINATION ${CMAKE_INSTALL_DOCDIR} RENAME copyright)
 install(DIRECTORY systemd/examples DESTINATION ${CMAKE_INSTALL_DOCDIR})
 
