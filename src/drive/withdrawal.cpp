@@ -215,27 +215,27 @@ void Withdrawal::names_beside_two_others() {
   }
 }
 
-/// Where much is left that is no noise, what fits it in part may only lean on it: the torque that is on no
-/// list looks a little like many that are, and more like several together. A name stays if it takes far more
-/// than is left, times the number of names; the weakest goes first. Where what is left is good enough but a
-/// function of the columns, only that part of it counts. Models are compared by their share of the torque's
-/// variation: what takes a saturation out of the reading makes both smaller.
+/// A torque that is on no list looks a little like many effects, and more like several together: what fits it
+/// in part may only lean on it. A name stays if it takes several times what is left, times the number of
+/// names; the weakest goes first. While more is left than is good enough, that is all of it, noise apart;
+/// else what a function of the columns would take of it, if that is much: a true effect leaves little for
+/// such a function, what stands in for another torque leaves that torque's form. A rest of few independent
+/// rows is hardly known itself, so that less will do beside it.
 void Withdrawal::what_leans_on_the_rest() {
-  constexpr double kFarMore = 1.4;
+  constexpr double kSeveral = 3.0;
+  constexpr double kHardlyKnown = 24.0, kMore = 1.4;  // so many levels has a free function of one variable
   while (has_effects()) {
     const Remainder rest = left_by(best_);
     const double left = rest.left * rest.left;
-    double least = kFarMore * effects() * (left - rest.noise * rest.noise);
-    if (rest.is_enough(model_.good_enough)) {
-      const double share = explainable_share(design_, best_, model_);
-      least = share > kStructured ? effects() * share * left : 0.0;
-    }
-    if (!(least > 0.0)) return;
-    const auto weakest =
-        weakest_effect(least, [&](const TorqueModel& smaller) { return taken_from(smaller, rest); });
+    const double share = rest.is_noise() ? 0.0 : explainable_share(design_, best_, model_);
+    double what = share > kStructured ? share * left : 0.0;
+    if (!rest.is_enough(model_.good_enough)) what = std::max(what, left - rest.noise * rest.noise);
+    const double times = independent_rows(design_, best_) < kHardlyKnown ? kMore : kSeveral;
+    const auto weakest = weakest_effect(
+        times * effects() * what, [&](const TorqueModel& smaller) { return taken_from(smaller, rest); });
     if (!weakest) return;
     replace_best(weakest->without,
-                 fmt::format("{} would explain less than what would still be left", weakest->name));
+                 fmt::format("{} would explain too little beside what would still be left", weakest->name));
   }
 }
 
@@ -278,7 +278,7 @@ void Withdrawal::parts_of_little() {
 /// One sinusoid shows nothing of an effect but the harmonics of its torque, which others have as well. Names
 /// beside which more than a small part is left have not told which they are.
 void Withdrawal::guesses_of_one_sinusoid() {
-  constexpr double kNearlySinusoidal = 0.9, kSmallPart = 0.05;
+  constexpr double kNearlySinusoidal = 0.9, kSmallPart = 0.02;
   if (range_.sinusoidal < kNearlySinusoidal || !has_effects()) return;
   const Remainder before = left_by(base_), after = left_by(best_);
   const double noise = after.noise * after.noise;
