@@ -175,9 +175,9 @@ void Withdrawal::what_another_shape_would_take() {
 
 /// What is left and smooth in time holds far fewer independent rows than it has, and whatever is as slow
 /// takes a part of it by chance: a load that wanders has a mean. Names stay if Fisher's F of what they take
-/// is significant for that number of rows.
+/// is significant for that number of rows, and for the dozen of effects that are tried.
 void Withdrawal::what_wanders() {
-  constexpr double kSignificant = 0.01;
+  constexpr double kSignificant = 0.002;
   while (has_effects() && !left_by(best_).is_noise()) {
     const double left = design_.residuals(best_.fit).squaredNorm();
     const double rows = independent_rows(design_, best_);
