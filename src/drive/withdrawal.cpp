@@ -276,14 +276,15 @@ void Withdrawal::parts_of_little() {
 }
 
 /// One sinusoid shows nothing of an effect but the harmonics of its torque, which others have as well. Names
-/// beside which more than a small part is left have not told which they are.
+/// beside which more than a small part is left, for several of them an even smaller one, have not told which
+/// they are.
 void Withdrawal::guesses_of_one_sinusoid() {
   constexpr double kNearlySinusoidal = 0.9, kSmallPart = 0.02;
   if (range_.sinusoidal < kNearlySinusoidal || !has_effects()) return;
   const Remainder before = left_by(base_), after = left_by(best_);
   const double noise = after.noise * after.noise;
   const double left = (after.left * after.left - noise) / (before.left * before.left - noise);
-  if (after.is_noise() || !(left > kSmallPart)) return;
+  if (after.is_noise() || !(effects() * left > kSmallPart)) return;
   notices_.push_back(
       fmt::format("beside {} {:.0f} % of the misfit's square would be left, and in a motion of one sinusoid "
                   "other effects look alike: record another motion as well",
