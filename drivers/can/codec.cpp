@@ -242,9 +242,9 @@ class CodecBuilder {
       return command_field("torque command", mapping_.torque_command, kTorqueUnits, codec_.setpoint);
     if (!mapping_.torque_command.empty())
       return failure(fmt::format(
-          "both a torque command, {}, and a velocity command, {}, are mapped, but a brake is told one of the "
-          "two: leave the other one empty, torque_command = \"\" for a brake that is told its speed",
-          mapping_.torque_command, mapping_.velocity_command));
+          "[can.mapping] names both a torque command, {}, and a velocity command, {}, of {}, but a brake is "
+          "told one of the two: leave the other one empty, torque_command = \"\" where it is told its speed",
+          mapping_.torque_command, mapping_.velocity_command, database_.file));
     codec_.commanded = CommandedQuantity::Velocity;
     return command_field("velocity command", mapping_.velocity_command, kVelocityUnits, codec_.setpoint);
   }

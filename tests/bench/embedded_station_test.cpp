@@ -197,7 +197,7 @@ TEST(PreparedStation, RefusesAMappingWithoutASignalThatACheckNeeds) {
   both.can.mapping = {{"velocity_command", "BrakeFeedback.Velocity"}};
   const auto told_twice = prepare_station(both);
   ASSERT_FALSE(told_twice);
-  EXPECT_THAT(told_twice.error().message, HasSubstr("a brake is told one of the two"));
+  EXPECT_THAT(told_twice.error().message, HasSubstr("but a brake is told one of the two"));
   StationConfiguration without_crc;
   without_crc.can.mapping = {{"crc", ""}};
   const auto refused = prepare_station(without_crc);
