@@ -26,6 +26,7 @@ constexpr double kOpenMargin_rad = 1.5;  // on from where the force no longer fa
 constexpr int kStallSamples = 50;        // still, though driven: at the end stop
 // A brake that is told its speed soon presses with all of its torque on what stops it: then sooner.
 constexpr int kPressingSamples = 3;
+constexpr int kBlockedSamples = 20;  // on a move, where more torque may be due for a moment
 constexpr double kReliefSpeed_rad_s = 10.0;  // with which it is then led back until it no longer presses
 constexpr int kReliefSamples = 100;
 constexpr double kRestTorque_Nm = 0.4;  // less than this is no pressing, but friction and noise
@@ -130,7 +131,10 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
   smooth_force_N_ += 0.3 * (pair.force_N - smooth_force_N_);
   torque_Nm_ = feedback.torque_Nm;
   smooth_torque_Nm_ += 0.05 * (torque_Nm_ - smooth_torque_Nm_);
-  pressing_samples_ = torque_Nm_ <= -kOpeningTorque_Nm ? pressing_samples_ + 1 : 0;
+  const bool presses = torque_Nm_ <= -kOpeningTorque_Nm &&
+                       std::abs(feedback.position_rad - pressing_rad_) < kStallTravel_rad;
+  pressing_samples_ = presses ? pressing_samples_ + 1 : 0;
+  if (!presses) pressing_rad_ = feedback.position_rad;
   if (last_.context.contact_known)
     stiffness_.learn(pair.position_rad, pair.force_N, observer_.velocity_rad_s());
   observer_.predict(plan_->drive, feedback.torque_Nm, std::max(0.0, force_N_));
@@ -183,9 +187,12 @@ double CheckSequence::keep_speed(double velocity_rad_s, double force_N, double t
 }
 
 double CheckSequence::move_to(double target_rad) noexcept {
-  if (is_told_speed())
+  if (is_told_speed()) {
+    // Told a speed that is too slow to be missed, it may press on its end stop for long.
+    if (pressing_samples_ >= kBlockedSamples) unproven_ = FaultCause::SpeedNotFollowed;
     return ramped_velocity_rad_s(move_velocity_rad_s(target_rad, kMoveSpeed_rad_s, observer_.state()),
                                  last_.velocity_rad_s, kMoveRamp_rad_s2);
+  }
   return move_torque_Nm(target_rad, kMoveSpeed_rad_s, plan_->drive, observer_.state(),
                         std::max(0.0, force_N_));
 }
@@ -288,9 +295,8 @@ double CheckSequence::open() noexcept {
   } else if (travelled_rad >= (plan_->open_only && stretch_.fell ? plan_->clearance_rad : kOpenMargin_rad)) {
     enter(Stage::Rest);
   }
-  const bool stalled = is_told_speed()
-                           ? std::min(still_samples_, pressing_samples_) >= kPressingSamples
-                           : still_samples_ >= kStallSamples;
+  const bool stalled =
+      is_told_speed() ? pressing_samples_ >= kPressingSamples : still_samples_ >= kStallSamples;
   if (stalled && force_N < plan_->contact_force_N * kLearnFactor) enter(Stage::Rest);
   return keep_speed(-kOpeningSpeed_rad_s, force_N, kOpeningTorque_Nm);
 }

@@ -148,7 +148,8 @@ class CheckSequence {
     bool fell = false;  ///< it was clamped
   } stretch_;
   int still_samples_ = 0;
-  int pressing_samples_ = 0;  ///< with more torque than opening may take
+  int pressing_samples_ = 0;  ///< at a place, with more torque than opening may take
+  double pressing_rad_ = 0.0;
 
   double sum_force_N_ = 0.0;
   double sum_velocity_rad_s_ = 0.0;

@@ -106,6 +106,23 @@ TEST(SpeedCommand, StartsFromWhereverTheBrakeIsFoundAndHardlyPressesOnItsEndStop
   }
 }
 
+/// A tenth of a radian before its target, where it is told a speed too slow for anybody to miss it.
+TEST(SpeedCommand, ABrakeThatMeetsItsEndStopAtTheEndDoesNotPressOnItForLong) {
+  sim::PlantConfiguration plant = shipped_plant();
+  plant.clearance_rad = 2.0;
+  plant.open_stop_rad = 5.9;
+  SpeedCheck check(plant);
+  rt::SequenceOutput output;
+  int pressing = 0;
+  for (int k = 0; k < 20'000 && !check.sequence.done() && output.fault == FaultCause::None; ++k) {
+    output = check.exchange();
+    pressing += check.brake.truth().torque_Nm < -1.0 && check.brake.truth().position_rad < -5.89 ? 1 : 0;
+  }
+  EXPECT_EQ(output.fault, FaultCause::SpeedNotFollowed);
+  EXPECT_EQ(output.phase, CheckPhase::Release);
+  EXPECT_LE(pressing, 30);
+}
+
 TEST(SpeedCommand, OpensABrakeThatStaysClampedAndNeverClosesIt) {
   for (const double clearance_rad : {-32.5, -20.0, -5.0, 0.0, 26.0}) {
     SCOPED_TRACE(clearance_rad);
