@@ -174,6 +174,9 @@ void CheckSession::record_stopping(const CheckFacts& facts, const Judgement& jud
   } else if (record.runs.size() == repeats_.most && !was_ended) {
     reason = stopping_->why_most(judgement, joint, record.systematic);
   }
+  const auto chosen = std::count_if(record.runs.begin(), record.runs.end(),
+                                    [](const RunRecord& run) { return run.trajectory != 0; });
+  if (chosen > 0) reason += fmt::format("; {} of the runs chosen for what was in doubt", chosen);
   record.stopping = StoppingRecord{repeats_.most, stopping_->coverage_factor(), std::move(reason), {}, {}};
   if (trajectories_.size() < 2) return;
   record.stopping->trajectories = trajectories_sha256_;

@@ -454,6 +454,7 @@ TEST(EmbeddedStation, FurtherRunsFollowTheTrajectoryThatTellsMostOfWhatIsInDoubt
   const CheckRecord record = check(prepared());
   EXPECT_EQ(record.verdict, Verdict::Pass) << record.reason;
   const StoppingRecord& stopping = record.stopping.value();
+  EXPECT_THAT(stopping.reason, HasSubstr("of the runs chosen for what was in doubt"));
   ASSERT_EQ(stopping.trajectories.size(), 3U);
   EXPECT_EQ(stopping.trajectories.front(), record.trajectory_sha256);
   ASSERT_EQ(stopping.followed.size(), record.runs.size());

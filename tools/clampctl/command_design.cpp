@@ -199,9 +199,10 @@ void print_robust_summary(const RobustOptions& options, const RobustSummary& sum
       options.noise.torque_Nm);
   if (const auto& target = options.target) {
     fmt::print(
-        "  variance of {:<13}{:>8.2f}x   smaller by {:g} runs of it beside {:g} of {}, in place\n"
-        "                           {:>8.2f}x   of as many more of that; below: in the worst tenth\n",
-        fmt::format("{}", fmt::join(names_of(target->parameters), ", ")), summary.gain.mean, target->runs, target->runs, target->beside.name, summary.gain.worst_decile);
+        "  variance of {:<13}{:>8.2f}x   smaller by {:g} runs of it, beside {:g} of {}, than by as many more of that;\n"
+        "                           {:>8.2f}x   in the worst tenth\n",
+        fmt::format("{}", fmt::join(names_of(target->parameters), ", ")), summary.gain.mean, target->runs,
+        target->runs, target->beside.name, summary.gain.worst_decile);
   } else {
     fmt::print("  log det of the covariance{:>9.3f}   expected; {:.3f} in the worst tenth\n",
                evaluation.expected_logdet, evaluation.worst_decile_logdet);
