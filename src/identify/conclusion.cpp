@@ -10,6 +10,7 @@
 #include "clampd/base/nan.hpp"
 #include "clampd/identify/validation.hpp"
 #include "clampd/statistics/distributions.hpp"
+#include "clampd/statistics/symmetric.hpp"
 #include "src/identify/uncertainty.hpp"
 
 namespace clampd {
@@ -29,11 +30,19 @@ constexpr double kUndetermined = 3.0;
 constexpr double kFewestDegrees = 4.0;
 constexpr double kManyDegrees = 1e6;
 
-/// Chance that the runs' own scores scatter as much as they do by the noise alone: a chi-square test of each
-/// against its covariance. 1 for a single run.
-double runs_agree_p(const Uncertainty& uncertainty, std::size_t runs) {
-  if (runs < 2 || !std::isfinite(uncertainty.score_squares) || !(uncertainty.score_degrees > 0.0)) return 1.0;
-  return statistics::chi_squared_p_value(uncertainty.score_squares, uncertainty.score_degrees);
+/// Chance that the runs' own scores scatter as much as they do by the noise alone: a test of the one covariance
+/// against the other by a chi-square of the same expectation and variance (Satterthwaite 1946). 1 for a
+/// single run.
+double runs_agree_p(const Uncertainty& uncertainty, const Held& held, std::size_t runs) {
+  if (!uncertainty.covariance_over_runs.allFinite() || !(uncertainty.scatter_variance > 0.0)) return 1.0;
+  ParameterMatrix expected = uncertainty.covariance;
+  for (int i = 0; i < kTheta; ++i)
+    if (held[static_cast<std::size_t>(i)]) expected(i, i) = 1.0;
+  const double statistic =
+      static_cast<double>(runs - 1) *
+      statistics::SymmetricFactor(expected).solve_columns(uncertainty.covariance_over_runs).trace();
+  const double scale = 0.5 * uncertainty.scatter_variance / uncertainty.scatter_expected;
+  return statistics::chi_squared_p_value(statistic / scale, uncertainty.scatter_expected / scale);
 }
 
 /// Of the standard deviations, where part of their variance is the torque's noise, estimated from the same
@@ -238,7 +247,7 @@ void conclude(JointFit& fit, const Eigen::VectorXd& unknowns, const Variances& v
   add_curvature_bias(fit, variances, held, uncertainty);
   const std::size_t runs = fit.linear_runs().size();
   const bool is_scatter_known = runs >= identify::kFewestRunsForScatter;
-  estimate.runs_agree_p = runs_agree_p(uncertainty, runs);
+  estimate.runs_agree_p = runs_agree_p(uncertainty, options.held, runs);
   estimate.runs_differ = is_scatter_known && estimate.runs_agree_p < kRunsDiffer;
   estimate.degrees_of_freedom = estimate.runs_differ
                                     ? ParameterVector::Constant(static_cast<double>(runs - 1)).eval()

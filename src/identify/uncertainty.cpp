@@ -1,6 +1,5 @@
 #include "src/identify/uncertainty.hpp"
 
-#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <random>
@@ -43,29 +42,41 @@ Eigen::Matrix<double, kUnknowns, 1> curvature_score(const JointFit& fit, std::si
   return (linear.weighted_innovations * shift).head<kUnknowns>();
 }
 
-/// Zero for what is held.
-ParameterMatrix inverse_of(const ParameterMatrix& information, const Held& held) {
-  ParameterMatrix inverse = cramer_rao(information);
+ParameterMatrix without_held(ParameterMatrix matrix, const Held& held) {
   for (int i = 0; i < kTheta; ++i) {
     if (!held[static_cast<std::size_t>(i)]) continue;
-    inverse.row(i).setZero();
-    inverse.col(i).setZero();
+    matrix.row(i).setZero();
+    matrix.col(i).setZero();
   }
-  return inverse;
+  return matrix;
 }
 
-/// The square of a run's score over its covariance, in the directions that the run tells of.
-void add_score_squares(const ParameterVector& score, const ParameterMatrix& covariance, Uncertainty& result) {
-  constexpr double kTold = 1e-8;  // of a unit diagonal: what is smaller has no correct digit
-  const Eigen::VectorXd scale = statistics::deviations_of_diagonal(covariance);
-  const statistics::Spectrum spectrum = statistics::spectrum_of(statistics::scaled_by(covariance, scale));
-  if (!spectrum.ok) return;
-  const Eigen::VectorXd along = spectrum.vectors.transpose() * score.cwiseQuotient(scale);
-  for (Eigen::Index i = 0; i < along.size(); ++i) {
-    if (!(spectrum.values[i] > kTold)) continue;
-    result.score_squares += along[i] * along[i] / spectrum.values[i];
-    result.score_degrees += 1.0;
+/// Zero for what is held.
+ParameterMatrix inverse_of(const ParameterMatrix& information, const Held& held) {
+  return without_held(cramer_rao(information), held);
+}
+
+/// Moments of the scatter of scores with these covariances, whose sum is taken to be zero by the shared
+/// parameters: with A_r the share of run r in all of the covariance, s_r has A_r - A_r^2 and s_r, s_q have
+/// -A_r A_q in common.
+void expect_scatter(std::span<const ParameterMatrix> of_runs, const Held& held, Uncertainty& result) {
+  ParameterMatrix all = ParameterMatrix::Zero();
+  for (const ParameterMatrix& of_run : of_runs) all += of_run;
+  for (int i = 0; i < kTheta; ++i)
+    if (held[static_cast<std::size_t>(i)]) all(i, i) = 1.0;
+  const statistics::SymmetricFactor factor(all);
+  const auto runs = static_cast<double>(of_runs.size());
+  ParameterMatrix squares = ParameterMatrix::Zero();
+  double expected = 0.0, variance = 0.0;
+  for (const ParameterMatrix& of_run : of_runs) {
+    const ParameterMatrix share = factor.solve_columns(of_run);
+    const ParameterMatrix square = share * share;
+    squares += square;
+    expected += share.trace() - square.trace();
+    variance += square.trace() - 2.0 * (square * share).trace();
   }
+  result.scatter_expected = runs * expected;
+  result.scatter_variance = 2.0 * runs * runs * (variance + (squares * squares).trace());
 }
 
 }  // namespace
@@ -87,7 +98,7 @@ Uncertainty uncertainty_of(const JointFit& fit, std::span<const ScoreMoments> mo
   ParameterMatrix readings = ParameterMatrix::Zero();
   ParameterMatrix torque = ParameterMatrix::Zero();
   ParameterMatrix scatter = ParameterMatrix::Zero();
-  result.score_degrees = -static_cast<double>(std::count(held.begin(), held.end(), false));
+  std::vector<ParameterMatrix> of_runs;
   result.offset_sensitivity.setZero();
   for (std::size_t r = 0; r < moments.size(); ++r) {
     const Normal& normal = fit.normal(r);
@@ -102,21 +113,15 @@ Uncertainty uncertainty_of(const JointFit& fit, std::span<const ScoreMoments> mo
                                       eliminate.transpose();
     readings += by_readings;
     torque += by_torque;
-    ParameterVector score = eliminate * normal.block<kUnknowns, 1>(0, kDataColumn);
+    const ParameterVector score = eliminate * normal.block<kUnknowns, 1>(0, kDataColumn);
     scatter += score * score.transpose();
-    ParameterMatrix of_run = by_readings + by_torque;
-    for (int i = 0; i < kTheta; ++i) {
-      if (!held[static_cast<std::size_t>(i)]) continue;
-      of_run.row(i).setZero();
-      of_run.col(i).setZero();
-      score[i] = 0.0;
-    }
-    add_score_squares(score, of_run, result);
+    of_runs.push_back(without_held(by_readings + by_torque, held));
     result.offset_sensitivity -= eliminate * moments[r].offsets;
   }
   result.offset_sensitivity = (inverse * result.offset_sensitivity).eval();
   result.covariance_exact_torque = inverse * readings * inverse;
   result.covariance = result.covariance_exact_torque + inverse * torque * inverse;
+  expect_scatter(of_runs, held, result);
   if (moments.size() > 1) {
     const auto count = static_cast<double>(moments.size());
     result.covariance_over_runs = count / (count - 1.0) * inverse * scatter * inverse;

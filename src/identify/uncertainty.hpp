@@ -17,10 +17,11 @@ struct Uncertainty {
   ParameterMatrix covariance_exact_torque;  ///< the same without torque noise
   ParameterMatrix covariance_over_runs;     ///< from the scatter of the runs' scores; NaN for a single run
   OffsetSensitivity offset_sensitivity;
-  /// Of each run's score the square over its own covariance, summed, and in how many directions: chi-square where the
-  /// runs differ by their noise alone, the parameters that all share taken off. Whatever motions the runs are of.
-  double score_squares = 0.0;
-  double score_degrees = 0.0;
+  /// Of runs that differ by their noise alone: expectation and variance of the trace of (covariance^-1
+  /// covariance_over_runs), times the number of runs less one. Of repeats of one motion it is chi-square; runs of several
+  /// motions tell differently much.
+  double scatter_expected = 0.0;
+  double scatter_variance = 0.0;
 };
 
 /// Of the estimate at the fit's last evaluated point, whose readings and torque have noise of these
