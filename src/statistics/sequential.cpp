@@ -25,13 +25,14 @@ constexpr double kFar = 7.0;
 struct Paths {
   std::vector<double> x, weight, f;
 
-  /// Nodes over an interval, four in each two units: the kernel's own width is one.
-  Paths(double from, double to) {
+  /// Nodes over an interval, four in each two widths: of the narrower one of the kernels that made f and that it
+  /// goes into.
+  Paths(double from, double to, double width) {
     constexpr std::array kNodes{-0.8611363115940526, -0.3399810435848563, 0.3399810435848563,
                                 0.8611363115940526};
     constexpr std::array kWeights{0.3478548451374538, 0.6521451548625461, 0.6521451548625461,
                                   0.3478548451374538};
-    const auto panels = std::max(1, static_cast<int>(std::ceil((to - from) / 2.0)));
+    const auto panels = std::max(1, static_cast<int>(std::ceil((to - from) / (2.0 * width))));
     const double half = 0.5 * (to - from) / panels;
     for (int i = 0; i < panels; ++i)
       for (std::size_t k = 0; k < kNodes.size(); ++k) {
@@ -55,22 +56,26 @@ void propagate(const Paths& paths, double sd, Paths& next) {
 /// That a sum of independent normal shares, with the variance `information` at each look, ever exceeds factor
 /// standard deviations there.
 double crossing_probability(double factor, std::span<const double> information) {
-  const auto paths_below = [factor](double variance) {
-    const double bound = factor * std::sqrt(variance);
-    return Paths(std::min(-kFar * std::sqrt(variance), bound - 2.0), bound);
+  /// Of the share that each look adds.
+  const auto share_sd = [&](std::size_t look) {
+    return std::sqrt(information[look] - (look > 0 ? information[look - 1] : 0.0));
+  };
+  const auto paths_below = [&](std::size_t look) {
+    const double sd = std::sqrt(information[look]);
+    return Paths(std::min(-kFar, factor - 2.0) * sd, factor * sd, std::min(share_sd(look), share_sd(look + 1)));
   };
   double crossed = normal_upper_tail(factor);
-  Paths paths = paths_below(information.front());
-  const double sd = std::sqrt(information.front());
+  if (information.size() == 1) return crossed;
+  Paths paths = paths_below(0);
+  const double sd = share_sd(0);
   for (std::size_t i = 0; i < paths.x.size(); ++i) paths.f[i] = density(paths.x[i] / sd) / sd;
   for (std::size_t look = 1; look < information.size(); ++look) {
-    const double share_sd = std::sqrt(information[look] - information[look - 1]);
     const double bound = factor * std::sqrt(information[look]);
     for (std::size_t i = 0; i < paths.x.size(); ++i)
-      crossed += paths.weight[i] * paths.f[i] * normal_upper_tail((bound - paths.x[i]) / share_sd);
+      crossed += paths.weight[i] * paths.f[i] * normal_upper_tail((bound - paths.x[i]) / share_sd(look));
     if (look + 1 == information.size()) break;
-    Paths next = paths_below(information[look]);
-    propagate(paths, share_sd, next);
+    Paths next = paths_below(look);
+    propagate(paths, share_sd(look), next);
     paths = std::move(next);
   }
   return crossed;
@@ -80,20 +85,15 @@ double crossing_probability(double factor, std::span<const double> information) 
 
 double repeated_look_factor(double probability, std::span<const double> information) {
   CLAMPD_ASSERT(probability > 0.0 && probability < 1.0 && !information.empty() && information[0] > 0.0);
-  // The nodes are dense enough for shares of one and more.
-  double least = information[0];
   for (std::size_t look = 1; look < information.size(); ++look)
-    least = std::min(least, information[look] - information[look - 1]);
-  CLAMPD_ASSERT(least > 0.0);
-  std::vector<double> scaled(information.begin(), information.end());
-  for (double& value : scaled) value /= least;
+    CLAMPD_ASSERT(information[look] > information[look - 1]);
   double low = -normal_quantile(probability);
-  if (scaled.size() == 1) return low;
-  double high = -normal_quantile(probability / static_cast<double>(scaled.size()));  // Bonferroni
+  if (information.size() == 1) return low;
+  double high = -normal_quantile(probability / static_cast<double>(information.size()));  // Bonferroni
   constexpr double kAccuracy = 2e-4;
   while (high - low > kAccuracy) {
     const double middle = 0.5 * (low + high);
-    (crossing_probability(middle, scaled) > probability ? low : high) = middle;
+    (crossing_probability(middle, information) > probability ? low : high) = middle;
   }
   return high;
 }
