@@ -335,15 +335,15 @@ double Design::root_mean_square(int column) const {
 
 Eigen::VectorXd Design::residuals(const Fit& fit) const {
   Eigen::VectorXd result = raw(fit.target);
-  for (std::size_t i = 0; i < fit.columns.size(); ++i)
-    result -= fit.coefficients[static_cast<Eigen::Index>(i)] * raw(fit.columns[i]);
+  for (Eigen::Index i = 0; i < fit.coefficients.size(); ++i)
+    result -= fit.coefficients[i] * raw(fit.columns[static_cast<std::size_t>(i)]);
   return scale_of(fit) * result;
 }
 
 Eigen::VectorXd Design::whitened_residuals(const Fit& fit) const {
   Eigen::VectorXd result = whitened(fit.target);
-  for (std::size_t i = 0; i < fit.columns.size(); ++i)
-    result -= fit.coefficients[static_cast<Eigen::Index>(i)] * whitened(fit.columns[i]);
+  for (Eigen::Index i = 0; i < fit.coefficients.size(); ++i)
+    result -= fit.coefficients[i] * whitened(fit.columns[static_cast<std::size_t>(i)]);
   return scale_of(fit) * result;
 }
 

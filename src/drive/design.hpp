@@ -57,7 +57,8 @@ class Design {
   /// that its torque is about as large as all of it.
   double log_occam(const std::vector<int>& columns, int target, double variance) const;
 
-  Eigen::VectorXd residuals(const Fit& fit) const;  ///< not whitened, all rows
+  /// Not whitened, all rows; of a fit that is not ok all of the target.
+  Eigen::VectorXd residuals(const Fit& fit) const;
   double scale_of(const Fit& fit) const {
     const auto found = scales_.find(fit.target);
     return found == scales_.end() ? 1.0 : found->second;

@@ -249,6 +249,7 @@ TorqueModel Selector::enriched(TorqueModel model) {
     if (best.ok()) model = std::move(best);
     if (static_cast<double>(model.fit.columns.size()) > 0.2 * design_.fitted_rows()) break;
   }
+  if (!model.ok()) return model;  // nothing can be added to what the rows do not tell apart
   for (int order = 0; order < 3 && model_.part(DriveTerm::Cogging).use == PartUse::Candidate; ++order) {
     const std::vector<Variant> ripples = ripple_candidates(model);
     if (ripples.empty()) break;

@@ -211,6 +211,22 @@ TEST(DriveDiagnosis, NamesTheColumnThatIsPartOfTheTorque) {
   EXPECT_THAT(missing.error().message, HasSubstr("temperature"));
 }
 
+/// Two columns that are the same one: no row tells their parts apart, whatever else could join the model.
+TEST(DriveDiagnosis, ABaseModelThatTheRunsDoNotTellApartIsRefused) {
+  std::vector<DriveRun> runs = simulate_set({}, 314);
+  for (DriveRun& run : runs) {
+    RunColumn load{"load", {}};
+    for (const double t : run.time_s) load.values.push_back(std::sin(2.9 * t));
+    run.others = {load, {"again", load.values}};
+  }
+  const DriveModel model = drive(
+      "[regressors]\nload = {column = \"load\", use = \"estimate\"}\nagain = {column = \"again\", use = "
+      "\"estimate\"}\n");
+  const Result<DriveDiagnosis> diagnosis = diagnose_drive(runs, model, {});
+  ASSERT_FALSE(diagnosis);
+  EXPECT_THAT(diagnosis.error().message, HasSubstr("the base model cannot be fitted"));
+}
+
 // Each file has its payload, which is inertia, or its temperature, which is viscous friction.
 TEST(DriveDiagnosis, NamesTheValueOfTheFilesThatTheTorqueGoesWith) {
   const DriveModel model =
