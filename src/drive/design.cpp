@@ -333,18 +333,24 @@ double Design::root_mean_square(int column) const {
   return std::sqrt(square / std::max(1.0, fitted_rows_));
 }
 
-Eigen::VectorXd Design::residuals(const Fit& fit) const {
-  Eigen::VectorXd result = raw(fit.target);
+namespace {
+
+/// Of the target, with `column` giving each column as it is or whitened.
+Eigen::VectorXd left_by(const Fit& fit, const auto& column) {
+  Eigen::VectorXd result = column(fit.target);
   for (Eigen::Index i = 0; i < fit.coefficients.size(); ++i)
-    result -= fit.coefficients[i] * raw(fit.columns[static_cast<std::size_t>(i)]);
-  return scale_of(fit) * result;
+    result -= fit.coefficients[i] * column(fit.columns[static_cast<std::size_t>(i)]);
+  return result;
+}
+
+}  // namespace
+
+Eigen::VectorXd Design::residuals(const Fit& fit) const {
+  return scale_of(fit) * left_by(fit, [this](int column) -> decltype(auto) { return raw(column); });
 }
 
 Eigen::VectorXd Design::whitened_residuals(const Fit& fit) const {
-  Eigen::VectorXd result = whitened(fit.target);
-  for (Eigen::Index i = 0; i < fit.coefficients.size(); ++i)
-    result -= fit.coefficients[i] * whitened(fit.columns[static_cast<std::size_t>(i)]);
-  return scale_of(fit) * result;
+  return scale_of(fit) * left_by(fit, [this](int column) -> decltype(auto) { return whitened(column); });
 }
 
 }  // namespace clampd::drive

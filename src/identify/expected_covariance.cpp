@@ -3,8 +3,8 @@
 #include "clampd/base/assert.hpp"
 #include "clampd/base/nan.hpp"
 #include "src/identify/initial_state_prior.hpp"
-#include "src/identify/joint_normal.hpp"
 #include "src/identify/linear_run.hpp"
+#include "src/identify/uncertainty.hpp"
 
 namespace clampd {
 
@@ -25,12 +25,8 @@ ExpectedContribution expected_contribution(Method method, const BrakeParameters&
   const ScoreMoments moments =
       score_moments({}, Eigen::Matrix<double, kUnknowns, 1>::Zero(), linear);
   add_prior(kInitialStatePrior, Eigen::Vector2d(Eigen::Vector2d::Zero()), normal);
-  Eigen::Matrix<double, kTheta, kUnknowns> eliminate;
-  eliminate << ParameterMatrix::Identity(), -elimination(normal);
-  const Normal scatter = variances.force * moments.force + variances.velocity * moments.velocity +
-                         variances.torque * moments.torque;
-  return {eliminate * normal.topLeftCorner<kUnknowns, kTheta>(),
-          eliminate * scatter.topLeftCorner<kUnknowns, kUnknowns>() * eliminate.transpose()};
+  const RunScore score = run_score(normal, moments, variances);
+  return {score.eliminate * normal.topLeftCorner<kUnknowns, kTheta>(), score.by_readings + score.by_torque};
 }
 
 ParameterMatrix expected_covariance(std::span<const ExpectedContribution> contributions,

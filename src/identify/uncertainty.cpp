@@ -89,6 +89,17 @@ std::vector<ScoreMoments> score_moments_of(JointFit& fit) {
   return moments;
 }
 
+RunScore run_score(const Normal& normal, const ScoreMoments& moments, const Variances& variances) {
+  RunScore score;
+  score.eliminate << ParameterMatrix::Identity(), -elimination(normal);
+  const auto eliminated = [&](const Normal& moment) -> ParameterMatrix {
+    return score.eliminate * moment.topLeftCorner<kUnknowns, kUnknowns>() * score.eliminate.transpose();
+  };
+  score.by_readings = eliminated(variances.force * moments.force + variances.velocity * moments.velocity);
+  score.by_torque = eliminated(variances.torque * moments.torque);
+  return score;
+}
+
 Uncertainty uncertainty_of(const JointFit& fit, std::span<const ScoreMoments> moments,
                            const Variances& variances, const Held& held) {
   Uncertainty result;
@@ -102,21 +113,13 @@ Uncertainty uncertainty_of(const JointFit& fit, std::span<const ScoreMoments> mo
   result.offset_sensitivity.setZero();
   for (std::size_t r = 0; r < moments.size(); ++r) {
     const Normal& normal = fit.normal(r);
-    Eigen::Matrix<double, kTheta, kUnknowns> eliminate;
-    eliminate << ParameterMatrix::Identity(), -elimination(normal);
-    const Eigen::Matrix<double, kUnknowns, kUnknowns> reading =
-        (variances.force * moments[r].force + variances.velocity * moments[r].velocity)
-            .topLeftCorner<kUnknowns, kUnknowns>();
-    const ParameterMatrix by_readings = eliminate * reading * eliminate.transpose();
-    const ParameterMatrix by_torque = variances.torque * eliminate *
-                                      moments[r].torque.topLeftCorner<kUnknowns, kUnknowns>() *
-                                      eliminate.transpose();
-    readings += by_readings;
-    torque += by_torque;
-    const ParameterVector score = eliminate * normal.block<kUnknowns, 1>(0, kDataColumn);
+    const RunScore of_run = run_score(normal, moments[r], variances);
+    readings += of_run.by_readings;
+    torque += of_run.by_torque;
+    const ParameterVector score = of_run.eliminate * normal.block<kUnknowns, 1>(0, kDataColumn);
     scatter += score * score.transpose();
-    of_runs.push_back(without_held(by_readings + by_torque, held));
-    result.offset_sensitivity -= eliminate * moments[r].offsets;
+    of_runs.push_back(without_held(of_run.by_readings + of_run.by_torque, held));
+    result.offset_sensitivity -= of_run.eliminate * moments[r].offsets;
   }
   result.offset_sensitivity = (inverse * result.offset_sensitivity).eval();
   result.covariance_exact_torque = inverse * readings * inverse;

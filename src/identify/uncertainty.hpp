@@ -24,6 +24,14 @@ struct Uncertainty {
   double scatter_variance = 0.0;
 };
 
+/// Of one run's score, its initial state eliminated.
+struct RunScore {
+  Eigen::Matrix<double, kTheta, kUnknowns> eliminate;  ///< of all unknowns, the parameters' part
+  ParameterMatrix by_readings;                         ///< its covariance by the readings' noise
+  ParameterMatrix by_torque;                           ///< and by the torque's
+};
+RunScore run_score(const Normal& normal, const ScoreMoments& moments, const Variances& variances);
+
 /// Of the estimate at the fit's last evaluated point, whose readings and torque have noise of these
 /// variances, whatever weights the fit used. Rows and columns of held parameters are zero.
 Uncertainty uncertainty_of(const JointFit& fit, std::span<const ScoreMoments> moments,

@@ -68,13 +68,17 @@ GuardBands StoppingRule::guard_bands(const Estimate& joint) const {
 
 namespace {
 
+bool is_marginal(const auto& judged) {
+  return judged.verdict == ParameterVerdict::Marginal;
+}
+
 /// Parameters and characteristics that their limits are too near to.
 std::vector<std::string> in_doubt(const Judgement& judgement) {
   std::vector<std::string> names;
   for (const ParameterRecord& parameter : judgement.parameters)
-    if (parameter.verdict == ParameterVerdict::Marginal) names.push_back(parameter.name);
+    if (is_marginal(parameter)) names.push_back(parameter.name);
   for (const CharacteristicRecord& line : judgement.characteristics)
-    if (line.verdict == ParameterVerdict::Marginal) names.push_back(line.name);
+    if (is_marginal(line)) names.push_back(line.name);
   return names;
 }
 
@@ -102,10 +106,6 @@ std::string StoppingRule::why_most(const Judgement& judgement, const Estimate& j
 
 namespace {
 
-bool is_marginal(const CharacteristicRecord& line) {
-  return line.verdict == ParameterVerdict::Marginal;
-}
-
 /// Sum of the logarithms of the standard deviations, under this covariance, of what is in doubt. NaN where
 /// one is not known.
 double log_deviations(const ParameterMatrix& covariance, const Judgement& judgement, const Estimate& joint,
@@ -113,11 +113,12 @@ double log_deviations(const ParameterMatrix& covariance, const Judgement& judgem
   double sum = 0.0;
   for (const ParameterRecord& parameter : judgement.parameters) {
     const auto index = find_parameter(parameter.name);
-    if (parameter.verdict != ParameterVerdict::Marginal || !index) continue;
+    if (!is_marginal(parameter) || !index) continue;
     const auto k = static_cast<Eigen::Index>(*index);
     sum += 0.5 * std::log(covariance(k, k));
   }
-  if (std::none_of(judgement.characteristics.begin(), judgement.characteristics.end(), is_marginal)) return sum;
+  if (std::none_of(judgement.characteristics.begin(), judgement.characteristics.end(), is_marginal<CharacteristicRecord>))
+    return sum;
   const std::vector<CharacteristicEstimate> lines =
       evaluate(sheet, Posterior{joint.parameters, covariance, ""}, nominal);
   for (std::size_t i = 0; i < lines.size(); ++i)

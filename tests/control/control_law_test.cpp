@@ -21,6 +21,14 @@ ReferenceRow closing_row() {
           .gain_velocity = 0.03};
 }
 
+/// Of pads that are a fifth stiffer than the nominal ones.
+StiffnessCurve stiffer_pads(const NominalDrive& drive) {
+  StiffnessCurve stiffness = drive.stiffness();
+  stiffness.cubic_N_rad3 *= 1.2;
+  stiffness.quadratic_N_rad2 *= 1.2;
+  return stiffness;
+}
+
 TEST(ControlLaw, TheNominalBrakeOnItsReferenceGetsTheFeedForward) {
   const NominalDrive drive;
   const ReferenceRow row = closing_row();
@@ -48,9 +56,7 @@ TEST(ControlLaw, FeedbackAndFrictionExcessAddUp) {
 
 TEST(ControlLaw, StifferPadsHaveTheForceEarlierAndAreMovedSlower) {
   const NominalDrive drive;
-  StiffnessCurve stiffer = drive.stiffness();
-  stiffer.cubic_N_rad3 *= 1.2;
-  stiffer.quadratic_N_rad2 *= 1.2;
+  const StiffnessCurve stiffer = stiffer_pads(drive);
   const ReferenceRow row = closing_row();
   const double position_rad = stiffer.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2);
   ASSERT_LT(position_rad, row.position_rad);
@@ -106,9 +112,7 @@ TEST(SpeedLaw, TheNominalBrakeOnItsReferenceGetsTheSpeedOfTheNextRow) {
 
 TEST(SpeedLaw, StifferPadsAreMovedSlowerByTheSameShareAsByTorque) {
   const NominalDrive drive;
-  StiffnessCurve stiffer = drive.stiffness();
-  stiffer.cubic_N_rad3 *= 1.2;
-  stiffer.quadratic_N_rad2 *= 1.2;
+  const StiffnessCurve stiffer = stiffer_pads(drive);
   const ReferenceRow row = closing_row();
   const double position_rad = stiffer.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2);
   const double velocity_rad_s = row.stiffness_N_rad * row.velocity_rad_s / stiffer.slope_N_rad(position_rad);
