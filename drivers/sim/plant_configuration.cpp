@@ -55,16 +55,21 @@ std::string where(const std::string& path, const toml::node& node) {
   return fmt::format("{}:{}", path, node.source().begin.line);
 }
 
+Result<void> read_number(const std::string& path, std::string_view table, std::string_view name,
+                         const toml::node& node, double& number) {
+  const std::optional<double> value = node.value<double>();
+  if (!value || !node.is_number())  // nothing: a whole number beyond 2^53
+    return failure(fmt::format("{}: {}.{} must be a number", where(path, node), table, name));
+  number = *value;
+  return {};
+}
+
 template <class Settings, std::size_t n>
 Result<void> read_key(const std::string& path, std::string_view table, std::string_view name,
                       const toml::node& node, const std::array<Key<Settings>, n>& keys, Settings& settings) {
   for (const Key<Settings>& key : keys) {
     if (key.name != name) continue;
-    const std::optional<double> value = node.value<double>();
-    if (!value || !node.is_number())
-      return failure(fmt::format("{}: {}.{} must be a number", where(path, node), table, name));
-    settings.*key.member = *value;
-    return {};
+    return read_number(path, table, name, node, settings.*key.member);
   }
   std::vector<std::string_view> names;
   for (const Key<Settings>& key : keys) names.push_back(key.name);
@@ -72,9 +77,16 @@ Result<void> read_key(const std::string& path, std::string_view table, std::stri
                              fmt::join(names, ", ")));
 }
 
+/// The member of an episode that has this name in the file, or null.
+double* find_time(Episode& episode, std::string_view name) {
+  if (name == "at_s") return &episode.at_s;
+  if (name == "duration_s") return &episode.duration_s;
+  return name == "from_force_N" ? &episode.from_force_N : nullptr;
+}
+
 Result<ScriptedFault> read_fault(const std::string& path, const toml::table& table) {
   ScriptedFault fault;
-  bool has_kind = false;
+  bool has_kind = false, has_end = false;
   for (const auto& [key, node] : table) {
     const std::string_view name = key.str();
     if (name == "kind") {
@@ -89,18 +101,20 @@ Result<ScriptedFault> read_fault(const std::string& path, const toml::table& tab
             fmt::format("{}: unknown fault kind '{}'; known are: corrupt-crc, frozen-counter, "
                         "impossible-values, silent",
                         where(path, node), text));
-    } else if (name == "at_s" || name == "duration_s") {
-      if (!node.is_number() || !node.value<double>())  // nothing: a whole number beyond 2^53
-        return failure(fmt::format("{}: fault.{} must be a number", where(path, node), name));
-      (name == "at_s" ? fault.at_s : fault.duration_s) = *node.value<double>();
+    } else if (double* const number = find_time(fault.when, name)) {
+      if (auto read = read_number(path, "fault", name, node, *number); !read)
+        return tl::unexpected(read.error());
+      has_end = has_end || name == "duration_s";
     } else {
-      return failure(fmt::format("{}: unknown key fault.{}; known are: kind, at_s, duration_s",
-                                 where(path, node), name));
+      return failure(
+          fmt::format("{}: unknown key fault.{}; known are: kind, at_s, duration_s, from_force_N",
+                      where(path, node), name));
     }
   }
   if (!has_kind) return failure(fmt::format("{}: a [[fault]] needs a kind", where(path, table)));
-  if (!(fault.at_s >= 0.0) || !(fault.duration_s > 0.0))
-    return failure(fmt::format("{}: a [[fault]] needs at_s >= 0 and duration_s > 0", where(path, table)));
+  if (!has_end || !fault.when.valid())
+    return failure(fmt::format("{}: a [[fault]] needs duration_s > 0, and at_s and from_force_N not below 0",
+                               where(path, table)));
   return fault;
 }
 
@@ -130,16 +144,13 @@ Result<SpoiledReading> read_spoil(const std::string& path, const toml::table& ta
     } else if (name == "kind") {
       kind = find_name<Spoil>(node, kSpoilCount, known);
       if (!kind) return failure(fmt::format("{}: spoil.kind must be one of: {}", where(path, node), known));
-    } else if (name == "amount" || name == "at_s" || name == "duration_s") {
-      if (!node.is_number())
-        return failure(fmt::format("{}: spoil.{} must be a number", where(path, node), name));
-      (name == "amount" ? spoiled.amount
-       : name == "at_s" ? spoiled.at_s
-                        : spoiled.duration_s) = *node.value<double>();
+    } else if (double* const number = name == "amount" ? &spoiled.amount : find_time(spoiled.when, name)) {
+      if (auto read = read_number(path, "spoil", name, node, *number); !read)
+        return tl::unexpected(read.error());
     } else {
-      return failure(
-          fmt::format("{}: unknown key spoil.{}; known are: reading, kind, amount, at_s, duration_s",
-                      where(path, node), name));
+      return failure(fmt::format(
+          "{}: unknown key spoil.{}; known are: reading, kind, amount, at_s, duration_s, from_force_N",
+          where(path, node), name));
     }
   }
   if (!reading || !kind)
@@ -148,8 +159,8 @@ Result<SpoiledReading> read_spoil(const std::string& path, const toml::table& ta
   spoiled.spoil = *kind;
   if (!spoiled.valid())
     return failure(
-        fmt::format("{}: a [[spoil]] needs at_s >= 0, duration_s > 0, and an amount that its kind "
-                    "can have (late: 1 to {} samples; noisy: not negative)",
+        fmt::format("{}: a [[spoil]] needs at_s >= 0, duration_s > 0, from_force_N >= 0, and an amount "
+                    "that its kind can have (late: 1 to {} samples; noisy: not negative)",
                     where(path, table), kLatest));
   return spoiled;
 }
@@ -230,7 +241,7 @@ std::string_view to_string(FaultKind kind) noexcept {
 
 bool PlantConfiguration::fault_active(FaultKind kind, double time_s) const noexcept {
   return std::any_of(faults.begin(), faults.end(),
-                     [&](const ScriptedFault& fault) { return fault.kind == kind && fault.active(time_s); });
+                     [&](const ScriptedFault& fault) { return fault.kind == kind && fault.when.active(time_s); });
 }
 
 Result<void> PlantConfiguration::validate() const {

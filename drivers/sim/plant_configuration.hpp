@@ -8,6 +8,7 @@
 #include "clampd/base/result.hpp"
 #include "clampd/parameters/brake_parameters.hpp"
 #include "drivers/sim/effects.hpp"
+#include "drivers/sim/episode.hpp"
 #include "drivers/sim/spoiling.hpp"
 
 namespace clampd::sim {
@@ -33,10 +34,7 @@ std::string_view to_string(FaultKind kind) noexcept;  ///< as in the file: "corr
 
 struct ScriptedFault {
   FaultKind kind = FaultKind::Silent;
-  double at_s = 0.0;  ///< on the brake's clock
-  double duration_s = 0.0;
-
-  bool active(double time_s) const noexcept { return time_s >= at_s && time_s < at_s + duration_s; }
+  Episode when;
 };
 
 /// Everything that makes one simulated brake; together with its seed it determines every reading.
@@ -71,8 +69,8 @@ struct PlantConfiguration {
 };
 
 /// Reads [parameters] or [parameters_normalised] and [fixed] (as `read_brake_parameters`), [plant],
-/// [sensors], [effects] (name = value), [[fault]] (kind, at_s, duration_s) and [[spoil]] (reading, kind,
-/// amount, at_s, duration_s). What is not named keeps its value in `base`, except that the brake's parameters
+/// [sensors], [effects] (name = value), [[fault]] (kind) and [[spoil]] (reading, kind, amount), both with at_s,
+/// duration_s and from_force_N. What is not named keeps its value in `base`, except that the brake's parameters
 /// start from nominal; an unknown table or key is an error that names file and line.
 Result<PlantConfiguration> read_plant_configuration(const std::string& path,
                                                     const PlantConfiguration& base = {});

@@ -135,7 +135,8 @@ BrakeFeedback SimulatedBrake::read() noexcept {
   feedback.drive_enabled = enabled_;
   feedback.watchdog_tripped = tripped_;
   unspoiled_ = feedback;
-  spoiler_.apply(feedback, time_s);
+  for (ScriptedFault& fault : configuration_.faults) fault.when.observe(time_s, state_.force_N);
+  spoiler_.apply(feedback, time_s, state_.force_N);
   velocity_error_rad_s_ =
       (configuration_.speed_loop_is_spoiled ? feedback : unspoiled_).velocity_rad_s - state_.velocity_rad_s;
   return feedback;

@@ -50,7 +50,7 @@ std::string_view to_string(Spoil spoil) noexcept {
 }
 
 bool SpoiledReading::valid() const noexcept {
-  if (!(at_s >= 0.0) || !(duration_s > 0.0) || !std::isfinite(amount)) return false;
+  if (!when.valid() || !std::isfinite(amount)) return false;
   if (spoil == Spoil::Late) return amount >= 1.0 && amount <= static_cast<double>(kLatest);
   return spoil != Spoil::Noisy || amount >= 0.0;
 }
@@ -82,12 +82,13 @@ double Spoiler::changed(const SpoiledReading& spoiled, double BrakeFeedback::*me
   return reading;
 }
 
-void Spoiler::apply(BrakeFeedback& feedback, double time_s) noexcept {
+void Spoiler::apply(BrakeFeedback& feedback, double time_s, double force_N) noexcept {
   if (spoiled_.empty()) return;
   history_[samples_ % history_.size()] = feedback;
   for (std::size_t i = 0; i < spoiled_.size(); ++i) {
-    const SpoiledReading& spoiled = spoiled_[i];
-    if (!spoiled.active(time_s)) {
+    SpoiledReading& spoiled = spoiled_[i];
+    spoiled.when.observe(time_s, force_N);
+    if (!spoiled.when.active(time_s)) {
       begun_[i] = false;
       continue;
     }

@@ -3,12 +3,12 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <limits>
 #include <random>
 #include <string_view>
 #include <vector>
 
 #include "clampd/ports/brake_port.hpp"
+#include "drivers/sim/episode.hpp"
 
 namespace clampd::sim {
 
@@ -37,11 +37,9 @@ struct SpoiledReading {
   Reading reading = Reading::Force;
   Spoil spoil = Spoil::Frozen;
   double amount = 0.0;  ///< in the reading's unit, times or samples; without meaning for the others
-  double at_s = 0.0;    ///< on the brake's clock
-  double duration_s = std::numeric_limits<double>::infinity();
+  Episode when;
 
-  bool active(double time_s) const noexcept { return time_s >= at_s && time_s < at_s + duration_s; }
-  /// Whether the amount means something for this kind.
+  /// Whether it can be then, and the amount means something for this kind.
   bool valid() const noexcept;
 };
 
@@ -51,7 +49,8 @@ class Spoiler {
   Spoiler(std::vector<SpoiledReading> spoiled, std::uint64_t seed);
 
   /// Takes each sample once, in order. Allocates nothing.
-  void apply(BrakeFeedback& feedback, double time_s) noexcept;
+  /// `force_N`: the true one.
+  void apply(BrakeFeedback& feedback, double time_s, double force_N) noexcept;
 
  private:
   double changed(const SpoiledReading& spoiled, double BrakeFeedback::*member,

@@ -109,8 +109,8 @@ class Deviation {
 std::string describe(const sim::SpoiledReading& spoiled, const CheckOutcome& outcome) {
   return fmt::format(
       "{} {} {:.3g} at {:.3f} s: {} in {} after {:.0f} ms; to {:.0f} rad/s, {:.0f} N; runs off by {:.2g} sd",
-      to_string(spoiled.reading), to_string(spoiled.spoil), spoiled.amount, spoiled.at_s,
-      to_string(outcome.fault), to_string(outcome.phase), 1e3 * (outcome.fault_s - spoiled.at_s),
+      to_string(spoiled.reading), to_string(spoiled.spoil), spoiled.amount, spoiled.when.at_s,
+      to_string(outcome.fault), to_string(outcome.phase), 1e3 * (outcome.fault_s - spoiled.when.at_s),
       outcome.speed_max_rad_s, outcome.force_max_N, outcome.deviation);
 }
 
@@ -126,7 +126,7 @@ void count(SpoilTally& tally, const sim::SpoiledReading& spoiled, const CheckOut
   if (outcome.fault != FaultCause::None) {
     ++tally.faults;
     if (names(outcome.fault, spoiled.reading)) ++tally.named;
-    tally.latencies_s.push_back(outcome.fault_s - spoiled.at_s);
+    tally.latencies_s.push_back(outcome.fault_s - spoiled.when.at_s);
   } else if (outcome.deviation < kHarmlessDeviation) {
     ++tally.harmless;
   } else {

@@ -53,7 +53,7 @@ TEST(SpoiledReadings, AForceThatReadsTooLittleNeverClampsTooHard) {
     plant.spoiled = {{sim::Reading::Force, sim::Spoil::Scaled, scale(random), instant_s(random)}};
     const CheckOutcome outcome = drive_check(plant, reference, 3);
     EXPECT_LT(outcome.force_max_N, 1.1 * limits.force_limit_N)
-        << "times " << plant.spoiled.front().amount << " from " << plant.spoiled.front().at_s << " s on";
+        << "times " << plant.spoiled.front().amount << " from " << plant.spoiled.front().when.at_s << " s on";
     EXPECT_LT(outcome.speed_max_rad_s, 1.2 * limits.speed_limit_rad_s);
   }
 }

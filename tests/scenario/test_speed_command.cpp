@@ -192,7 +192,7 @@ TEST(SpeedCommand, AFrozenEncoderNeverRunsAway) {
     plant.speed_loop_is_spoiled = i % 2 == 0;
     plant.spoiled = {{sim::Reading::Encoder, sim::Spoil::Frozen, 0.0, duration_s * i / 120.0}};
     const CheckOutcome outcome = drive_check(plant, shipped_reference(), 1, kVelocity);
-    const bool at_rest_for_good = plant.spoiled.front().at_s > duration_s - 0.05;
+    const bool at_rest_for_good = plant.spoiled.front().when.at_s > duration_s - 0.05;
     EXPECT_TRUE(outcome.fault != FaultCause::None || at_rest_for_good) << i;
     EXPECT_LT(outcome.speed_max_rad_s, limits.speed_limit_rad_s) << i;
     EXPECT_LT(outcome.force_max_N, limits.force_limit_N) << i;
@@ -211,7 +211,7 @@ TEST(SpeedCommand, AForceThatReadsTooLittleNeverClampsTooHard) {
     plant.spoiled = {{sim::Reading::Force, sim::Spoil::Scaled, amount, instant_s(random)}};
     const CheckOutcome outcome = drive_check(plant, shipped_reference(), 3, kVelocity);
     EXPECT_LT(outcome.force_max_N, limits.force_ceiling_N)
-        << "times " << amount << " from " << plant.spoiled.front().at_s << " s on";
+        << "times " << amount << " from " << plant.spoiled.front().when.at_s << " s on";
     EXPECT_LT(outcome.speed_max_rad_s, limits.speed_limit_rad_s);
   }
 }

@@ -76,6 +76,8 @@ TEST_F(PlantFile, ErrorsNameFileAndLine) {
       {"[[fault]]\nkind = \"fire\"\nat_s = 1\nduration_s = 1\n", ":2", "fire"},
       {"[[fault]]\nkind = \"silent\"\nat_s = 1\n", ":1", "duration_s"},
       {"[[fault]]\nkind = \"silent\"\nwhen = 1\n", ":3", "when"},
+      {"[[fault]]\nkind = \"silent\"\nduration_s = 1\nfrom_force_N = \"much\"\n", ":4", "from_force_N"},
+      {"[[fault]]\nkind = \"silent\"\nduration_s = 1\nfrom_force_N = -1\n", ":1", "from_force_N"},
       {"[plant\nseed = 1\n", ":1", ""},
   };
   for (const auto& bad : cases) {
@@ -96,16 +98,22 @@ TEST_F(PlantFile, RefusesImpossibleValues) {
 TEST_F(PlantFile, SpoiledReadings) {
   const auto plant = read(
       "[[spoil]]\nreading = \"force\"\nkind = \"late\"\namount = 20\nat_s = 1.5\n"
-      "[[spoil]]\nreading = \"encoder\"\nkind = \"frozen\"\nat_s = 2\nduration_s = 0.5\n");
+      "[[spoil]]\nreading = \"encoder\"\nkind = \"frozen\"\nat_s = 2\nduration_s = 0.5\nfrom_force_N = 12e3\n");
   ASSERT_TRUE(plant.has_value()) << plant.error().message;
   ASSERT_EQ(plant->spoiled.size(), 2u);
   EXPECT_EQ(plant->spoiled[0].reading, Reading::Force);
   EXPECT_EQ(plant->spoiled[0].spoil, Spoil::Late);
   EXPECT_EQ(plant->spoiled[0].amount, 20.0);
-  EXPECT_TRUE(plant->spoiled[0].active(1e6));
-  EXPECT_FALSE(plant->spoiled[0].active(1.4));
+  EXPECT_TRUE(plant->spoiled[0].when.active(1e6));
+  EXPECT_FALSE(plant->spoiled[0].when.active(1.4));
   EXPECT_EQ(plant->spoiled[1].reading, Reading::Encoder);
-  EXPECT_FALSE(plant->spoiled[1].active(2.6));
+  Episode clamped = plant->spoiled[1].when;
+  EXPECT_FALSE(clamped.active(2.1)) << "the brake was never clamped";
+  clamped.observe(7.0, 12001.0);
+  clamped.observe(8.0, 13000.0);
+  EXPECT_FALSE(clamped.active(8.9));
+  EXPECT_TRUE(clamped.active(9.1));
+  EXPECT_FALSE(clamped.active(9.6));
   for (const auto& [text, message] : std::initializer_list<std::pair<const char*, const char*>>{
            {"[[spoil]]\nreading = \"force\"\n", "needs a reading and a kind"},
            {"[[spoil]]\nreading = \"colour\"\nkind = \"frozen\"\n",

@@ -47,6 +47,30 @@ TEST(Spoiling, BeginsAtItsTimeAndTouchesNothingElse) {
   }
 }
 
+TEST(Spoiling, MayWaitUntilTheBrakeIsClamped) {
+  SpoiledReading spoiled{Reading::Torque, Spoil::Offset, 1.0, 0.01};
+  spoiled.when.duration_s = 0.02;
+  spoiled.when.from_force_N = 2000.0;
+  PlantConfiguration plant;
+  plant.clearance_rad = 0.0;
+  plant.spoiled = {spoiled};
+  plant.faults = {{FaultKind::Silent, spoiled.when}};
+  SimulatedBrake brake(plant);
+  int met = -1, begun = -1, differences = 0;
+  // Clamped twice: it misbehaves once.
+  for (int k = 0; k < 400; ++k) {
+    brake.command({k % 200 < 100 ? 0.9 : -0.6, true});
+    const bool differs = brake.sample().torque_Nm != brake.unspoiled().torque_Nm;
+    EXPECT_EQ(brake.configuration().fault_active(FaultKind::Silent, brake.truth().time_s), differs);
+    if (met < 0 && brake.truth().force_N > 2000.0) met = k;
+    if (begun < 0 && differs) begun = k;
+    differences += differs;
+  }
+  ASSERT_GT(met, 0);
+  EXPECT_EQ(begun, met + 10);
+  EXPECT_EQ(differences, 20);
+}
+
 TEST(Spoiling, DoesWhatItsKindSays) {
   double before_N = 0.0;
   drive({Reading::Force, Spoil::Frozen, 0.0, kBegin_s},

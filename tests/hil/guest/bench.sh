@@ -30,18 +30,15 @@ bring_up() {
   esac
 }
 
-# start_brake TRACE [FAULT-KIND AT_S DURATION_S]; brake_frames: options for other frames than the shipped ones; brake_tables: further tables of its configuration; brake_values: lines
-# "NAME VALUE" for what has another value than in plant.toml.
+# start_brake TRACE; brake_frames: options for other frames than the shipped ones; brake_tables: further tables of its
+# configuration; brake_values: lines "NAME VALUE" for what has another value than in plant.toml.
 start_brake() {
   trace=$1
   echo "${brake_values:-}" | awk '
     NR == FNR { value[$1] = $2; next }
     $2 == "=" && $1 in value { $3 = value[$1] }
     { print }' - plant.toml >/tmp/plant.toml
-  if [ $# -gt 1 ]; then
-    printf '\n[[fault]]\nkind = "%s"\nat_s = %s\nduration_s = %s\n' "$2" "$3" "$4" >>/tmp/plant.toml
-  fi
-  printf '%s\n' "${brake_tables:-}" >>/tmp/plant.toml
+  printf '\n%s\n' "${brake_tables:-}" >>/tmp/plant.toml
   rm -f "$trace"
   clampd-plant --interface $brake_interface --config /tmp/plant.toml ${brake_frames:---dbc configs/brake.dbc} --realtime $brake_priority \
     --trace "$trace" >>/tmp/plant.log 2>&1 &

@@ -20,26 +20,31 @@ fault() {
   recover
 }
 
-# scripted_fault KIND: the brake misbehaves by itself, at a time when the check is known to clamp.
+# When the brake misbehaves by itself: so many seconds after it is clamped by so much, however long that takes the check.
+readonly scripted_force_N=12000
+readonly scripted_delay_s=0.02
+scripted_times="at_s = $scripted_delay_s
+duration_s = 0.3
+from_force_N = $scripted_force_N"
+
+# scripted_fault KIND [LIMIT-MS]: the brake misbehaves by itself as soon as it is clamped.
 scripted_fault() {
   stop_brake
-  at_s=6.0
-  start_brake /tmp/trace.csv "$1" $at_s 0.3
-  expect_scripted "$1" $zero_torque_ms
+  brake_tables=$(printf '[[fault]]\nkind = "%s"\n%s' "$1" "$scripted_times")
+  start_brake /tmp/trace.csv
+  brake_tables=
+  expect_scripted "$1" "${2:-$zero_torque_ms}"
 }
 
-# expect_scripted NAME LIMIT-MS [WORD]: starts a check so that the brake's own misbehaviour meets it clamping. WORD must stand
-# in the reason.
+# expect_scripted NAME LIMIT-MS [WORD]: a check meets the misbehaviour of a brake with $scripted_times. WORD must stand in the
+# reason.
 expect_scripted() {
   wait_until 10 "the fault can be cleared" clearable
   clear_fault
-  brake_begin_s=$(awk -F, 'NR == 2 { print $1; exit }' "$trace")
-  wait_until 10 "the time to start the check" later_than "$brake_begin_s" "$at_s" "-$approach_s" "-${check_lead_s:-0.02}"
   begin_fault "$1"
-  # By the brake's own count of samples, which falls behind where the guest's one processor held it up.
-  cause_row=$(awk -v at="$at_s" -v rate="${samples_per_s:-1000}" 'BEGIN { printf "%d", at * rate + 2.5 }')
   end_of_check
-  cause_s=$(sed -n "${cause_row}p" "$trace" | cut -d, -f1)
+  cause_s=$(scripted_cause_s "$trace")
+  [ -n "$cause_s" ] || fail "$name: the brake was never clamped: $(cat "/tmp/$id.out")"
   clocks=$(cause kill 0 $$)
   clocks="$cause_s $(echo "$clocks" | awk -v cause="$cause_s" '{ printf "%.6f", $2 - $1 + cause }')"
   expect_error "$clocks" "$2"
@@ -69,24 +74,28 @@ station_killed() {
   echo "ok: $name: a new station checks the brake"
 }
 
-# Learns how long a check takes from its command to the clamped brake.
-measure_approach() {
-  begin_s=$(cut -d' ' -f1 /proc/uptime)
+# Time, by the station's clock, of the sample with which the misbehaviour begins. Counted in samples, since the brake falls
+# behind where the guest's one processor held it up.
+scripted_cause_s() {
+  awk -F, -v force=$scripted_force_N -v samples="$(awk -v rate="${samples_per_s:-1000}" -v delay=$scripted_delay_s 'BEGIN { print delay * rate }')" '
+    NR == 1 { for (i = 1; i <= NF; i++) at[$i] = i; next }
+    !clamped && $at["force_N"] > force { clamped = NR }
+    clamped && NR >= clamped + samples { print $at["time_s"]; exit }' "$1"
+}
+
+# Before anything is spoiled.
+healthy_check() {
   id=healthy
   check healthy 2
   expect_pass healthy
-  approach_s=$(awk -F, -v begin="$begin_s" '
-    NR == 1 { for (i = 1; i <= NF; i++) at[$i] = i; next }
-    $at["time_s"] > begin && $at["force_N"] > 12000 { print $at["time_s"] - begin; exit }' "$trace")
-  [ -n "$approach_s" ] || fail "the brake was never clamped"
-  echo "ok: a healthy check passes; clamped $approach_s s after the command"
+  echo "ok: a healthy check passes"
 }
 
-# measure_approach_and_check_frames FILTER: and `can check` understands the frames that pass in the meantime.
-measure_approach_and_check_frames() {
+# healthy_check_and_its_frames FILTER: and `can check` understands the frames that pass in the meantime.
+healthy_check_and_its_frames() {
   candump -L "vcan0,$1" >/tmp/frames.log &
   log_pid=$!
-  measure_approach
+  healthy_check
   kill $log_pid
   clampctl --config /tmp/station.toml can check /tmp/frames.log >/tmp/can_check 2>&1 || fail "can check: $(cat /tmp/can_check)"
   expect "can check understands the brake" grep -q "understands this brake" /tmp/can_check

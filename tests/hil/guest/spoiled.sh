@@ -12,11 +12,10 @@ readonly far_sd=5            # beyond the guard band, and beyond what chance doe
 # true speed and force, milliseconds from the instant to the end of the drive.
 readonly results=/tmp/spoiled.txt
 
-# spoiled_reading READING KIND WORD: a reading lies while the check is known to clamp. WORD must stand in the reason.
+# spoiled_reading READING KIND WORD: a reading lies as soon as the brake is clamped. WORD must stand in the reason.
 spoiled_reading() {
   stop_brake
-  at_s=6.0
-  brake_tables=$(printf '[[spoil]]\nreading = "%s"\nkind = "%s"\nat_s = %s\nduration_s = 0.3' "$1" "$2" $at_s)
+  brake_tables=$(printf '[[spoil]]\nreading = "%s"\nkind = "%s"\n%s' "$1" "$2" "$scripted_times")
   start_brake /tmp/trace.csv
   brake_tables=
   expect_scripted "$1 $2" $lying_reading_ms "$3"

@@ -11,7 +11,7 @@ use_vcan
 start_brake /tmp/trace.csv
 start_station
 wait_for_idle
-measure_approach_and_check_frames 180:7FC
+healthy_check_and_its_frames 180:7FC
 grep "times are told by the arrivals" /tmp/can_check || fail "can check says nothing of the arrivals"
 check full 8
 expect_pass full

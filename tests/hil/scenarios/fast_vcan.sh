@@ -16,12 +16,10 @@ expect "vcan0 is up for CAN FD" bring_up vcan0
 station_interface=vcan0
 brake_interface=vcan0
 samples_per_s=2000
-# The loops leave less of the one processor for the command: it may begin later, and still meet the brake driven.
-check_lead_s=0.08
 start_brake /tmp/trace.csv
 start_station
 wait_for_idle
-measure_approach_and_check_frames 100:67F
+healthy_check_and_its_frames 100:67F
 grep -E "every|Command|Feedback" /tmp/can_check
 skipped_before=$(status skipped)
 check full auto

@@ -9,7 +9,7 @@ use_vcan
 start_brake /tmp/trace.csv
 start_station
 wait_for_idle
-measure_approach
+healthy_check
 
 plant_lost
 fault "interface down" 'cause link vcan0 down' 'bring_up vcan0' $silent_station_ms

@@ -33,7 +33,7 @@ expect "vcan0 is up for CAN FD" bring_up vcan0
 start_brake /tmp/trace.csv
 start_station
 wait_for_idle
-measure_approach_and_check_frames 180:7FF
+healthy_check_and_its_frames 180:7FF
 check full 20
 expect_pass full
 expect_on_time full

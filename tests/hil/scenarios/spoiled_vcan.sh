@@ -18,7 +18,7 @@ diagnose = false'
 start_brake /tmp/trace.csv
 start_station
 wait_for_idle
-measure_approach
+healthy_check
 
 spoiled_reading encoder frozen reading
 spoiled_reading velocity negated velocity
