@@ -203,16 +203,29 @@ torque_after() {
 }
 
 # command_after LOG CAUSE_S: milliseconds from the cause to the last frame that asked for torque, and whether one did in
-# the 10 ms before. In the command frame torque is the first two bytes, Enable the lowest bit of the third.
+# the 10 ms before. In the command frame torque is the first two bytes, Enable the lowest bit of the third. With told_speed=1
+# the first two are a speed, and only a disabled drive is asked for no torque: speed zero would be torque.
 command_after() {
-  awk -v cause="$2" '
+  awk -v cause="$2" -v told_speed="${told_speed:-0}" '
     {
       time = substr($1, 2) + 0
       data = substr($3, 5)
       sub(/^#./, "", data) # CAN FD: "100##1..."
-      if (substr(data, 1, 4) == "0000" || substr(data, 5, 2) == "00") next
+      if (substr(data, 5, 2) == "00" || (!told_speed && substr(data, 1, 4) == "0000")) next
       if (time > cause) last = time
       else if (time > cause - 0.010) before = 1
     }
     END { printf "%.3f %d\n", last ? (last - cause) * 1000 : 0, before }' "$1"
+}
+
+# milliseconds FROM_S TO_S
+milliseconds() { awk -v from="$1" -v to="$2" 'BEGIN { printf "%.1f\n", (to - from) * 1000 }'; }
+
+# drive_off_command LOG CLOCKS: when the first command after the last that enables the drive went out, in monotonic time.
+# Enable is as in command_after.
+drive_off_command() {
+  awk -v monotonic="${2% *}" -v realtime="${2#* }" '
+    index("13579BDF", substr($3, 10, 1)) { enabled = 1; next }
+    enabled { off = substr($1, 2) + 0; enabled = 0 }
+    END { printf "%.6f\n", off - realtime + monotonic }' "$1"
 }

@@ -171,9 +171,6 @@ judge_idle_station() {
   echo "early: $name $amount: $(status fault) before anything moved"
 }
 
-# milliseconds FROM_S TO_S
-milliseconds() { awk -v from="$1" -v to="$2" 'BEGIN { printf "%.1f\n", (to - from) * 1000 }'; }
-
 above() { awk -v value="$1" -v limit="$2" 'BEGIN { exit !(value + 0 > limit + 0) }'; }
 
 # names READING: whether the reason does, as names() of the embedded campaign. The encoder is behind two readings.
@@ -195,15 +192,6 @@ expect_answered_fault() {
     { answer = $at["fault"] " " ($at["torque_command_Nm"] + 0) }
     END { print answer }' /tmp/flight.csv)
   [ "$answer" = "$fault 0" ] || fail "$name: the flight recorder ends with '$answer', not with $fault and no torque"
-}
-
-# drive_off_command LOG CLOCKS: when the first command after the last that enables the drive went out, in monotonic time.
-# In the frame BrakeCommand Enable is the lowest bit of the third byte.
-drive_off_command() {
-  awk -v monotonic="${2% *}" -v realtime="${2#* }" '
-    index("13579BDF", substr($3, 10, 1)) { enabled = 1; next }
-    enabled { off = substr($1, 2) + 0; enabled = 0 }
-    END { printf "%.6f\n", off - realtime + monotonic }' "$1"
 }
 
 # true_course TRACE AT_S: worst speed and force, and when in monotonic time the drive was first enabled, the reading was
