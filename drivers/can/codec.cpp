@@ -23,11 +23,20 @@ constexpr Unit kForceUnits[]{{"N", 1.0}, {"kN", 1e3}};
 constexpr Unit kTorqueUnits[]{{"Nm", 1.0}, {"N m", 1.0}, {"N*m", 1.0}, {"mNm", 1e-3}};
 constexpr Unit kVelocityUnits[]{{"rad/s", 1.0},
                                 {"rpm", std::numbers::pi / 30.0},
+                                {"RPM", std::numbers::pi / 30.0},
                                 {"1/min", std::numbers::pi / 30.0},
-                                {"deg/s", std::numbers::pi / 180.0}};
-constexpr Unit kAngleUnits[]{{"rad", 1.0}, {"mrad", 1e-3}, {"deg", std::numbers::pi / 180.0}};
+                                {"deg/s", std::numbers::pi / 180.0},
+                                {"deg/sec", std::numbers::pi / 180.0}};
+constexpr Unit kAngleUnits[]{{"rad", 1.0},
+                             {"mrad", 1e-3},
+                             {"deg", std::numbers::pi / 180.0},
+                             {"Deg", std::numbers::pi / 180.0},
+                             {"degree", std::numbers::pi / 180.0},
+                             {"degrees", std::numbers::pi / 180.0}};
 constexpr Unit kTimeUnits[]{{"s", 1.0}, {"ms", 1e-3}, {"us", 1e-6}, {"ns", 1e-9}};
-constexpr Unit kFlagUnits[]{{"", 1.0}};
+/// What files write of signals that have none.
+constexpr Unit kFlagUnits[]{{"", 1.0},         {"-", 1.0},        {"SED", 1.0},
+                            {"unitless", 1.0}, {"Unitless", 1.0}, {"Enum", 1.0}};
 
 struct Place {
   const Message* message = nullptr;
@@ -43,26 +52,34 @@ std::string names_of(const Message& message) {
 Result<Place> find(const Database& database, std::string_view what, const std::string& place) {
   const std::size_t dot = place.find('.');
   if (dot == std::string::npos || dot == 0 || dot + 1 == place.size()) {
-    return failure(fmt::format("{}: '{}' must read Message.Signal, e.g. BrakeFeedback.Force", what, place));
+    return failure(
+        fmt::format("{}: '{}' must read Message.Signal, e.g. BrakeFeedback.Force, of {}; correct it in "
+                    "[can.mapping]",
+                    what, place, database.file));
   }
   const Message* message = database.find_message(std::string_view{place}.substr(0, dot));
   if (message == nullptr) {
-    return failure(fmt::format("{}: there is no message {} in {}; correct the name there or in the mapping",
+    return failure(fmt::format("{}: there is no message {} in {}; correct the name there or in [can.mapping]",
                                what, place.substr(0, dot), database.file));
   }
   const Signal* signal = message->find_signal(std::string_view{place}.substr(dot + 1));
   if (signal == nullptr) {
-    return failure(fmt::format("{}: message {} of {} has no signal {}; it has {}", what, message->name,
-                               database.file, place.substr(dot + 1), names_of(*message)));
+    return failure(
+        fmt::format("{}: message {} of {} has no signal {}; it has {}; correct the name there or in "
+                    "[can.mapping]",
+                    what, message->name, database.file, place.substr(dot + 1), names_of(*message)));
   }
   if (signal->is_multiplexor) {
-    return failure(fmt::format("{}: {} in {} is a multiplexor: it says what else is in the frame", what,
-                               place, database.file));
+    return failure(
+        fmt::format("{}: {} in {} is a multiplexor: it says what else is in the frame; name a signal that "
+                    "has the value",
+                    what, place, database.file));
   }
   if (!Field::fits(*signal)) {
-    return failure(
-        fmt::format("{}: {} in {} has {} bits and begins within a byte; the station reads up to 57 there",
-                    what, place, database.file, signal->bits));
+    return failure(fmt::format(
+        "{}: {} in {} has {} bits and begins within a byte; the station reads up to 57 there: name another "
+        "signal",
+        what, place, database.file, signal->bits));
   }
   return Place{message, signal};
 }
@@ -76,15 +93,18 @@ Result<double> si_factor(const Database& database, std::string_view what, const 
     known += fmt::format("{}\"{}\"", known.empty() ? "" : ", ", candidate.name);
   }
   return failure(
-      fmt::format("{}: {} in {} has the unit \"{}\"; expected {}", what, place, database.file, unit, known));
+      fmt::format("{}: {} in {} has the unit \"{}\"; expected {}: write one of them there, with the scale, "
+                  "offset and range that go with it, or name another signal",
+                  what, place, database.file, unit, known));
 }
 
 /// CAN FD by its size, or because Vector's attribute says so: 14 and 15 are its standard and extended FD
 /// frames.
-Result<FrameFormat> frame_format(const Message& message, const ProtocolMapping& mapping,
-                                 const std::string& where) {
-  const auto found = message.attributes.find("VFrameFormat");
-  const std::string text = found == message.attributes.end() ? "" : found->second;
+Result<FrameFormat> frame_format(const Database& database, const Message& message,
+                                 const ProtocolMapping& mapping, const std::string& where) {
+  std::string text;
+  for (const auto* attributes : {&database.attribute_defaults, &message.attributes})
+    if (const auto found = attributes->find("VFrameFormat"); found != attributes->end()) text = found->second;
   const bool declared = text == "14" || text == "15" || text.ends_with("_FD");
   if (message.size_bytes <= kClassicBytes && !declared) return FrameFormat::Classic;
   if (!is_fd_size(message.size_bytes))
@@ -96,8 +116,9 @@ Result<FrameFormat> frame_format(const Message& message, const ProtocolMapping& 
 Result<FrameLayout> frame_layout(const Database& database, const Message& message,
                                  const ProtocolMapping& mapping) {
   const std::string where = fmt::format("message {} of {}", message.name, database.file);
-  if (!message.defects.empty()) return failure(message.defects.front());
-  const auto format = frame_format(message, mapping, where);
+  if (!message.defects.empty())
+    return failure(fmt::format("{}: {} cannot be relied on: mend the file", message.defects.front(), where));
+  const auto format = frame_format(database, message, mapping, where);
   if (!format) return failure(format.error().message);
   auto protection = FrameProtection::build(message, mapping.counter, mapping.crc, mapping.protection, where);
   if (!protection) return failure(protection.error().message);
@@ -210,7 +231,7 @@ class CodecBuilder {
   template <class Units>
   Result<const Message*> command_field(std::string_view what, const std::string& name, const Units& units,
                                        Field& field) {
-    const auto place = find(database_, what, name);
+    const auto place = value_place(what, name);
     if (!place) return failure(place.error().message);
     const auto factor = si_factor(database_, what, name, place->signal->unit, units);
     if (!factor) return failure(factor.error().message);
@@ -230,6 +251,16 @@ class CodecBuilder {
     Result<void> outcome = choose(codec_.command);
     for (std::size_t i = 0; outcome && i < codec_.feedback_frames; ++i) outcome = choose(codec_.feedback[i]);
     return outcome;
+  }
+
+  /// Counter and checksum are written into each frame, whatever else may be mapped there.
+  Result<Place> value_place(std::string_view what, const std::string& name) const {
+    auto place = find(database_, what, name);
+    if (place && (place->signal->name == mapping_.counter || place->signal->name == mapping_.crc))
+      return failure(fmt::format(
+          "{}: {} in {} is what [can.mapping] names as {}; name a signal that has the value", what, name,
+          database_.file, place->signal->name == mapping_.counter ? "counter" : "crc"));
+    return place;
   }
 
   bool is_told_velocity() const { return !mapping_.velocity_command.empty(); }
@@ -255,8 +286,10 @@ class CodecBuilder {
     const auto enable = command_field("enable", mapping_.enable, kFlagUnits, codec_.enable);
     if (!enable) return failure(enable.error().message);
     if (*setpoint != *enable)
-      return failure(fmt::format("{} and {} must be signals of one message of {}", setpoint_name(),
-                                 mapping_.enable, database_.file));
+      return failure(
+          fmt::format("enable: {} and {} must be signals of one message of {}, since a brake takes both at "
+                      "once; name an enable flag of the command's message",
+                      setpoint_name(), mapping_.enable, database_.file));
     const auto layout = frame_layout(database_, **setpoint, mapping_);
     if (!layout) return failure(layout.error().message);
     codec_.command = *layout;
@@ -264,18 +297,29 @@ class CodecBuilder {
     return {};
   }
 
+  /// A brake closes and opens: zero and either sign of what moves it must fit.
+  Result<void> check_signs(std::string_view what, std::string_view quantity, const std::string& name,
+                           const Field& field) const {
+    if (field.plausible(0.0) && field.minimum() < 0.0 && field.maximum() > 0.0) return {};
+    return failure(fmt::format(
+        "{}: {} in {} must have a range that includes a {} of either sign, since a brake closes and opens; "
+        "it has {:g} to {:g} in SI units: correct its sign, scale, offset or range there, or name another "
+        "signal",
+        what, name, database_.file, quantity, field.minimum(), field.maximum()));
+  }
+
   Result<void> check_setpoint() const {
     const Field& setpoint = codec_.setpoint;
     const std::string_view quantity = is_told_velocity() ? "velocity" : "torque";
-    if (!setpoint.plausible(0.0) || !(setpoint.minimum() < 0.0) || !(setpoint.maximum() > 0.0))
-      return failure(fmt::format("{} in {} must have a range that includes a {} of either sign",
-                                 setpoint_name(), database_.file, quantity));
+    const std::string what = fmt::format("{} command", quantity);
+    if (auto checked = check_signs(what, quantity, setpoint_name(), setpoint); !checked) return checked;
     Frame probe = codec_.command.blank();
     setpoint.encode(probe, 0.0);
     if (std::abs(setpoint.decode(probe)) > 0.01 * std::abs(setpoint.scale()))
       return failure(
-          fmt::format("{} in {} cannot express a {} of zero: its offset must be a multiple of its scale",
-                      setpoint_name(), database_.file, quantity));
+          fmt::format("{}: {} in {} cannot express a {} of zero: its offset must be a multiple of its scale; "
+                      "correct them there, or name another signal",
+                      what, setpoint_name(), database_.file, quantity));
     return {};
   }
 
@@ -283,16 +327,22 @@ class CodecBuilder {
   Result<void> feedback_field(std::string_view what, const std::string& name, const Units& units,
                               bool required, FeedbackField& field) {
     if (name.empty() && !required) return {};
-    const auto place = find(database_, what, name);
+    const auto place = value_place(what, name);
     if (!place) return failure(place.error().message);
     if (place->message == command_message_)
-      return failure(fmt::format("{}: {} is in the command's own message", what, name));
+      return failure(
+          fmt::format("{}: {} in {} is in the command's own message, which the station sends; name a signal "
+                      "of a message that the brake sends",
+                      what, name, database_.file));
     const auto factor = si_factor(database_, what, name, place->signal->unit, units);
     if (!factor) return failure(factor.error().message);
     auto found = std::find(messages_.begin(), messages_.end(), place->message);
     if (found == messages_.end()) {
       if (messages_.size() == kMaxFeedbackFrames)
-        return failure(fmt::format("the feedback is spread over more than {} messages", kMaxFeedbackFrames));
+        return failure(fmt::format(
+            "{}: with {} of {} the feedback is spread over more than {} messages; name signals that "
+            "come together, or leave out a flag that the station can do without: \"\"",
+            what, name, database_.file, kMaxFeedbackFrames));
       const auto layout = frame_layout(database_, *place->message, mapping_);
       if (!layout) return failure(layout.error().message);
       codec_.feedback[messages_.size()] = *layout;
@@ -323,7 +373,8 @@ class CodecBuilder {
             .and_then([&] { return feedback_field("watchdog", m.watchdog, kFlagUnits, false, c.watchdog); })
             .and_then([&] { return feedback_field("fault", m.fault, kFlagUnits, false, c.fault); });
     codec_.feedback_frames = messages_.size();
-    return outcome;
+    return outcome.and_then([&] { return check_signs("velocity", "velocity", m.velocity, c.velocity.field); })
+        .and_then([&] { return check_signs("torque", "torque", m.torque, c.torque.field); });
   }
 
   Result<void> add_clock_tick() {
@@ -336,9 +387,9 @@ class CodecBuilder {
         tick_ns > 0.1 * static_cast<double>(codec_.feedback_cycle_ns()) ||
         span_ns < 16.0 * static_cast<double>(kPeriod_ns))
       return failure(fmt::format(
-          "{} in {} must be an unsigned count of at most 62 bits without offset, its tick a whole "
-          "number of nanoseconds up to {:g} ms, a tenth of the feedback's cycle, and wrap after 16 ms at the "
-          "earliest",
+          "sample clock: {} in {} must be an unsigned count of at most 62 bits without offset, its tick a "
+          "whole number of nanoseconds up to {:g} ms, a tenth of the feedback's cycle, and wrap after 16 ms "
+          "at the earliest; sample_clock = \"\" if the brake sends no such clock",
           mapping_.sample_clock, database_.file, 1e-7 * static_cast<double>(codec_.feedback_cycle_ns())));
     codec_.clock_tick_ns = std::llround(tick_ns);
     return {};

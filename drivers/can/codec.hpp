@@ -120,8 +120,9 @@ struct ProtocolCodec {
   /// Checks the mapping against the database. Errors name the DBC file, message and signal, and what is
   /// needed: a name that is not there, a message with defects or of a size that no frame has, multiplexed
   /// signals of one message that exclude each other, an unknown unit, a counter or checksum of the wrong
-  /// shape, both or none of torque and velocity command, a command or clock that cannot express what the loop
-  /// needs, a start-up or shut-down frame that cannot be made.
+  /// shape or mapped to another role too, both or none of torque and velocity command, a command, velocity,
+  /// torque or clock that cannot express what the loop needs, a start-up or shut-down frame that cannot be
+  /// made.
   static Result<ProtocolCodec> build(const Database& database, const ProtocolMapping& mapping);
 
   /// Identifiers the station receives, in the order of `feedback`.

@@ -43,13 +43,23 @@ Field::Field(const Signal& signal, double si_per_unit)
   CLAMPD_ASSERT(fits(signal));
   const auto begin = static_cast<unsigned>(begin_of(signal) - 8 * first_byte_);
   shift_ = motorola_ ? 64 - begin - bits_ : begin;
-  if (signal.has_range()) {
-    minimum_ = signal.minimum * si_per_unit;
-    maximum_ = signal.maximum * si_per_unit;
-  } else {
-    minimum_ = -std::numeric_limits<double>::infinity();
-    maximum_ = std::numeric_limits<double>::infinity();
+  const auto [least, most] = limits_of_width();
+  minimum_ = signal.has_range() ? signal.minimum * si_per_unit : least;
+  maximum_ = signal.has_range() ? signal.maximum * si_per_unit : most;
+  // A range that the width cannot reach at all stays as it is: then nothing is plausible.
+  if (minimum_ <= most && maximum_ >= least) {
+    minimum_ = std::max(minimum_, least);
+    maximum_ = std::min(maximum_, most);
   }
+}
+
+std::pair<double, double> Field::limits_of_width() const {
+  if (type_ == ValueType::Float32 || type_ == ValueType::Float64)
+    return {-std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity()};
+  const bool is_signed = type_ == ValueType::Signed;
+  const double largest = static_cast<double>(is_signed ? mask_ >> 1U : mask_);
+  const double one_end = (is_signed ? -largest - 1.0 : 0.0) * scale_ + offset_;
+  return std::minmax(one_end, largest * scale_ + offset_);
 }
 
 std::uint64_t Field::load(const Frame& frame) const noexcept {

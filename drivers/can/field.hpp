@@ -1,7 +1,9 @@
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <utility>
 
 #include "clampd/base/realtime.hpp"
 #include "drivers/can/dbc.hpp"
@@ -30,11 +32,17 @@ class Field {
   CLAMPD_REALTIME bool plausible(double value) const noexcept;
   std::uint64_t largest_raw() const noexcept { return mask_; }
   double scale() const noexcept { return scale_; }
+  /// Between neighbouring values, in SI units; 0 of a float.
+  double step() const noexcept {
+    return type_ == ValueType::Float32 || type_ == ValueType::Float64 ? 0.0 : std::abs(scale_);
+  }
   double minimum() const noexcept { return minimum_; }
   double maximum() const noexcept { return maximum_; }
   bool operator==(const Field&) const = default;
 
  private:
+  /// Least and most that the type and the number of bits can hold, in SI units; infinite of a float.
+  std::pair<double, double> limits_of_width() const;
   std::uint64_t load(const Frame& frame) const noexcept;
   void store(Frame& frame, std::uint64_t word) const noexcept;
 

@@ -157,6 +157,8 @@ Result<FrameLog> parse_log(std::string_view text, const std::string& name) {
     }
     text.remove_prefix(std::min(end + 1, text.size()));
   }
+  if (log.lines == 0)
+    return failure(fmt::format("{} is empty; record with 'candump -l can0' while the brake sends", name));
   if (log.frames.empty())
     return failure(fmt::format(
         "{}: no CAN frame in its {} lines, the first of which is \"{}\"; record with 'candump -l can0'", name,

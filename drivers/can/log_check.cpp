@@ -173,26 +173,44 @@ void judge_content(const FrameFinding& f, const FrameLayout& layout, const std::
         "id, and describe them in [can.protection] and the attribute E2EDataId",
         share(f.wrong_checksum)));
   if (f.counter_repeats > 0)
-    problem(fmt::format("its counter repeats {} times: the station takes such a frame for a frozen one",
-                        f.counter_repeats));
+    problem(fmt::format(
+        "its counter repeats {} times: the station takes such a frame for a frozen one; have the brake count "
+        "each frame that it sends",
+        f.counter_repeats));
   if (f.counter_jumps > 0)
     finding.notes.push_back(
         fmt::format("{}: its counter jumps {} times; frames were lost, or the recording has gaps", name,
                     f.counter_jumps));
   for (const SignalFinding& signal : f.signals)
     if (signal.implausible > 0)
-      problem(fmt::format("{} is outside of the DBC file's range in {} frames, which the station refuses",
-                          signal.name, signal.implausible));
+      problem(fmt::format(
+          "{} is outside of the DBC file's range in {} frames, which the station refuses: correct its "
+          "range, scale, offset or byte order there if the brake is right",
+          signal.name, signal.implausible));
+}
+
+void judge_absent(const FrameFinding& f, const FrameLayout& layout, const std::string& name,
+                  LogFinding& finding) {
+  auto& list = f.from_brake ? finding.problems : finding.notes;
+  if (f.other_content > 0)
+    list.push_back(fmt::format(
+        "{}: of {} frames with its identifier none has {} bytes and the multiplexor's value by which the DBC "
+        "file puts the mapped signals into it; correct it there, or map signals that the brake sends",
+        name, f.other_content, layout.size));
+  else if (f.from_brake)
+    list.push_back(fmt::format(
+        "{}: not in the log; without it no sample is complete: record while the brake sends it, or correct "
+        "its identifier in the DBC file",
+        name));
+  else
+    list.push_back(
+        fmt::format("{}: not in the log; that is as it should be where no station was on the bus", name));
 }
 
 void judge_frame(const FrameFinding& f, const FrameLayout& layout, double cycle_ms, LogFinding& finding) {
   const std::string name = fmt::format("{} (0x{:X})", f.message, f.id & ~kExtendedId);
   if (f.seen == 0) {
-    const std::string text = fmt::format("{}: not in the log", name);
-    if (f.from_brake)
-      finding.problems.push_back(text + "; without it no sample is complete");
-    else
-      finding.notes.push_back(text + "; that is as it should be where no station was on the bus");
+    judge_absent(f, layout, name, finding);
     return;
   }
   judge_content(f, layout, name, finding);
@@ -200,10 +218,10 @@ void judge_frame(const FrameFinding& f, const FrameLayout& layout, double cycle_
   if (!f.spacing) {
     finding.notes.push_back(fmt::format("{}: how often it comes, this log does not tell", name));
   } else if (std::abs(f.spacing->median_ms - cycle_ms) > kPeriodTolerance * cycle_ms) {
-    finding.problems.push_back(
-        fmt::format("{}: comes every {:.2f} ms; the station needs a sample every {:g} ms ([can] "
-                    "feedback_cycle_ms)",
-                    name, f.spacing->median_ms, cycle_ms));
+    finding.problems.push_back(fmt::format(
+        "{}: comes every {:.2f} ms; the station needs a sample every {:g} ms: have the brake send it so "
+        "often ([can] feedback_cycle_ms takes 1, 0.5, 0.25 and 0.2)",
+        name, f.spacing->median_ms, cycle_ms));
   }
 }
 
@@ -230,13 +248,18 @@ void judge_clocked_samples(LogFinding& finding) {
                     refused));
 }
 
-void judge_arrivals(bool counted, double cycle_ms, LogFinding& finding) {
+void judge_arrivals(bool counted, std::size_t frames, double cycle_ms, LogFinding& finding) {
   if (finding.samples == 0) {
+    const std::string together =
+        counted || frames == 1
+            ? ""
+            : fmt::format("; without a counter the {} frames of each have to come within {:g} ms", frames,
+                          0.5 * cycle_ms);
     finding.problems.push_back(
         fmt::format("no sample has a time: without a sample clock, {} samples{}, every {:g} ms within {:g} "
-                    "%, have to come first",
+                    "%, have to come first{}",
                     ArrivalClock::kSettlingSamples, counted ? ", one with each count" : " without a gap",
-                    cycle_ms, 100.0 * ArrivalClock::kPeriodTolerance));
+                    cycle_ms, 100.0 * ArrivalClock::kPeriodTolerance, together));
     return;
   }
   if (const std::size_t refused = finding.counts.counter_errors; refused > 0)
@@ -260,7 +283,7 @@ void judge_samples(const ProtocolCodec& codec, bool stamped, LogFinding& finding
         "without a sample clock the frames' time stamps are needed, and this log has none: record it with "
         "candump -l");
   else
-    judge_arrivals(counted, codec.feedback_cycle_ms(), finding);
+    judge_arrivals(counted, codec.feedback_frames, codec.feedback_cycle_ms(), finding);
   if (!codec.sample_clock.present && !counted)
     finding.notes.emplace_back(
         "neither sample clock nor alive counter: a sample that is held up counts as lost, and so does the "
@@ -269,6 +292,31 @@ void judge_samples(const ProtocolCodec& codec, bool stamped, LogFinding& finding
 }
 
 }  // namespace
+
+void note_demands(const ProtocolCodec& codec, const Demands& demands, LogFinding& finding) {
+  const auto note = [&](const std::string& name, const char* unit, const Field& field, const Demand& demand) {
+    const bool limited = demand.least < demand.most;
+    if (limited && (field.minimum() > demand.least || field.maximum() < demand.most))
+      finding.notes.push_back(fmt::format(
+          "{}: the DBC file lets it be {:g} to {:g} {}, less than the {:g} to {:g} {} that the station's "
+          "limits allow: checks that go further end in an ERROR; correct its range there if the brake can do "
+          "more",
+          name, field.minimum(), field.maximum(), unit, demand.least, demand.most, unit));
+    if (0.5 * field.step() > demand.mismatch)
+      finding.notes.push_back(
+          fmt::format("{}: its steps in the DBC file are {:g} {}, but readings that are {:g} {} apart "
+                      "contradict each other to the supervisor: without finer steps checks may end in an "
+                      "ERROR",
+                      name, field.step(), unit, demand.mismatch, unit));
+  };
+  const bool by_speed = codec.commanded == CommandedQuantity::Velocity;
+  note(by_speed ? "velocity command" : "torque command", by_speed ? "rad/s" : "N m", codec.setpoint,
+       by_speed ? demands.velocity : demands.torque);
+  note("force", "N", codec.force.field, demands.force);
+  note("velocity", "rad/s", codec.velocity.field, demands.velocity);
+  note("torque", "N m", codec.torque.field, demands.torque);
+  note("position", "rad", codec.position.field, demands.position);
+}
 
 std::map<std::uint32_t, OtherFrame> identifiers(const FrameLog& log, const Database& database) {
   std::map<std::uint32_t, OtherFrame> all;
@@ -289,7 +337,10 @@ LogFinding check_log(const FrameLog& log, const Database& database, const Protoc
     for (const std::uint32_t id : ids) finding.others.erase(id);
   for (const LoggedFrame& logged : log.frames)
     for (Watched& frame : watched)
-      if (frame.layout->is_meant_by(logged.frame)) take(frame, logged);
+      if (frame.layout->is_meant_by(logged.frame))
+        take(frame, logged);
+      else
+        frame.finding.other_content += frame.layout->id == logged.frame.id ? 1 : 0;
   count_samples(log, codec, finding);
   const LoggedFrame &first = log.frames.front(), &last = log.frames.back();
   if (first.time_ns && last.time_ns)

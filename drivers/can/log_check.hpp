@@ -37,6 +37,8 @@ struct FrameFinding {
   bool from_brake = false;
   std::size_t seen = 0;
   std::size_t wrong_size = 0, wrong_format = 0, wrong_checksum = 0;
+  /// Of a multiplexed message: frames with its identifier that do not hold what the mapping names.
+  std::size_t other_content = 0;
   std::map<std::size_t, std::size_t> sizes;  ///< of those with a wrong one: how many
   std::size_t counter_repeats = 0, counter_jumps = 0;
   std::optional<Spacing> spacing;  ///< nothing without time stamps or with one frame
@@ -68,6 +70,19 @@ struct LogFinding {
 /// were made for.
 LogFinding check_log(const FrameLog& log, const Database& database, const ProtocolMapping& mapping,
                      const ProtocolCodec& codec);
+
+/// What the checks of a station ask of a quantity, in SI units.
+struct Demand {
+  double least = 0.0, most = 0.0;  ///< that their limits allow; equal where they do not limit it
+  double mismatch = 0.0;           ///< by which readings may contradict each other
+};
+
+struct Demands {
+  Demand torque, velocity, position, force;
+};
+
+/// Notes which signals have a range too narrow, or steps too coarse, in the DBC file for what checks ask.
+void note_demands(const ProtocolCodec& codec, const Demands& demands, LogFinding& finding);
 
 /// Which identifiers a log has, and which messages of the database they are; where no codec can be made.
 std::map<std::uint32_t, OtherFrame> identifiers(const FrameLog& log, const Database& database);

@@ -155,6 +155,16 @@ class FrameProtection::Builder {
     return std::string(kChecksumNames[static_cast<std::size_t>(description_.checksum)]);
   }
 
+  /// What is in the way: a name that the message does not have, or a signal of another shape.
+  std::string found(const Signal* signal, const std::string& wanted) const {
+    if (signal == nullptr && wanted.empty()) return "; [can.mapping] names none";
+    if (signal == nullptr)
+      return fmt::format(
+          "; it has no signal {}: give its own that name in the DBC file, the same in all messages", wanted);
+    return fmt::format("; there it is {} bits from bit {} on, scale {:g}, offset {:g}", signal->bits,
+                       signal->start_bit, signal->scale, signal->offset);
+  }
+
   Result<void> place_checksum() {
     if (description_.checksum == Checksum::None) return {};
     const Signal* signal = checksum_.empty() ? nullptr : message_.find_signal(checksum_);
@@ -165,12 +175,12 @@ class FrameProtection::Builder {
     if (!shaped)
       return failure(fmt::format(
           "{} needs a checksum {}: {} bits that fill whole bytes{}, unsigned, scale 1, offset 0, as "
-          "[can.protection] checksum = \"{}\" has it; \"none\" if the brake's frames carry none",
+          "[can.protection] checksum = \"{}\" has it; \"none\" if the brake's frames carry none{}",
           where_, checksum_, layout_.checksum_bits,
           !layout_.order                          ? ""
           : *layout_.order == ByteOrder::Motorola ? ", most significant byte first"
                                                   : ", least significant byte first",
-          name()));
+          name(), found(signal, checksum_)));
     built_.value_ = Field{*signal, 1.0};
     built_.first_byte_ = signal->start_bit / 8;
     built_.bytes_ = signal->bits / 8;
@@ -203,9 +213,11 @@ class FrameProtection::Builder {
                                   : signal->bits >= kLeastBits && signal->bits <= kMostBits);
     if (!shaped)
       return failure(fmt::format(
-          "{} needs an alive counter {}: {} bits, unsigned, scale 1, offset 0{}", where_, counter_,
+          "{} needs an alive counter {}: {} bits, unsigned, scale 1, offset 0{}{}", where_, counter_,
           demanded ? std::to_string(layout_.counter_bits) : fmt::format("{} to {}", kLeastBits, kMostBits),
-          demanded ? fmt::format(", as [can.protection] checksum = \"{}\" has it", name()) : ""));
+          demanded ? fmt::format(", as [can.protection] checksum = \"{}\" has it", name())
+                   : "; counter = \"\" in [can.mapping] if the brake's frames carry none",
+          found(signal, counter_)));
     built_.counter_ = Field{*signal, 1.0};
     built_.counter_values_ = 1ULL << signal->bits;
     if (layout_.counter_byte) {

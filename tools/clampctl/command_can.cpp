@@ -35,6 +35,7 @@ Json to_json(const can::FrameFinding& frame) {
             {"wrong_size", frame.wrong_size},
             {"wrong_format", frame.wrong_format},
             {"wrong_checksum", frame.wrong_checksum},
+            {"other_content", frame.other_content},
             {"counter_repeats", frame.counter_repeats},
             {"counter_jumps", frame.counter_jumps}};
   if (frame.spacing)
@@ -64,8 +65,9 @@ Json to_json(const std::map<std::uint32_t, can::OtherFrame>& others) {
   return list;
 }
 
-Json to_json(const can::FrameLog& log, const can::LogFinding& finding) {
+Json to_json(const can::FrameLog& log, const can::LogFinding& finding, const std::string& dbc) {
   Json json{{"schema", "clampd.can-check/1"},
+            {"dbc", dbc},
             {"understood", finding.problems.empty()},
             {"frames", log.frames.size()},
             {"duration_s", finding.duration_s},
@@ -81,9 +83,9 @@ Json to_json(const can::FrameLog& log, const can::LogFinding& finding) {
   return json;
 }
 
-void print_log(const can::FrameLog& log, double duration_s, const std::string& name) {
-  fmt::print("{}: {} frames{}", name, log.frames.size(),
-             duration_s > 0.0 ? fmt::format(" in {:.1f} s", duration_s) : ", without time stamps");
+void print_log(const can::FrameLog& log, double duration_s, const std::string& name, const std::string& dbc) {
+  fmt::print("{}: {} frames{}, read by {}", name, log.frames.size(),
+             duration_s > 0.0 ? fmt::format(" in {:.1f} s", duration_s) : ", without time stamps", dbc);
   if (log.unreadable > 0)
     fmt::print("; {} lines are no frames, the first of them line {}", log.unreadable, log.first_unreadable);
   fmt::print("\n\n");
@@ -141,6 +143,7 @@ int refuse_frames(const Error& error, const can::FrameLog& log, const bench::Fra
                   const CanCheckOptions& options) {
   if (options.json) {
     const Json json{{"schema", "clampd.can-check/1"},
+                    {"dbc", frames.database.file},
                     {"understood", false},
                     {"frames", log.frames.size()},
                     {"problems", {error.message}},
@@ -151,6 +154,15 @@ int refuse_frames(const Error& error, const can::FrameLog& log, const bench::Fra
     fmt::print("\n");
   }
   return cli::refuse(error);
+}
+
+can::Demands demands_of(const StationConfiguration& configuration) {
+  const SupervisorSettings& limits = configuration.supervisor;
+  const double torque_Nm = configuration.check.torque_limit_Nm, speed_rad_s = limits.over_speed_rad_s;
+  return {.torque = {-torque_Nm, torque_Nm, limits.torque_mismatch_Nm},
+          .velocity = {-speed_rad_s, speed_rad_s, limits.velocity_mismatch_rad_s},
+          .position = {0.0, 0.0, limits.position_mismatch_rad},
+          .force = {0.0, limits.over_force_N, limits.force_mismatch_N}};
 }
 
 int check_log_file(const CanCheckOptions& options, const CommonOptions& common) {
@@ -165,11 +177,12 @@ int check_log_file(const CanCheckOptions& options, const CommonOptions& common) 
   if (!log) return cli::refuse(log.error());
   const Result<can::ProtocolCodec> codec = can::ProtocolCodec::build(frames->database, frames->mapping);
   if (!codec) return refuse_frames(codec.error(), *log, *frames, options);
-  const can::LogFinding finding = can::check_log(*log, frames->database, frames->mapping, *codec);
+  can::LogFinding finding = can::check_log(*log, frames->database, frames->mapping, *codec);
+  can::note_demands(*codec, demands_of(*configuration), finding);
   if (options.json) {
-    fmt::print("{}\n", to_json(*log, finding).dump(2));
+    fmt::print("{}\n", to_json(*log, finding, frames->database.file).dump(2));
   } else {
-    print_log(*log, finding.duration_s, options.log);
+    print_log(*log, finding.duration_s, options.log, frames->database.file);
     print_finding(finding);
   }
   return finding.problems.empty() ? cli::kSuccess : cli::kStation;

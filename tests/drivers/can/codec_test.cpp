@@ -9,6 +9,7 @@
 #include <limits>
 #include <random>
 #include <string>
+#include <utility>
 
 #include "clampd/base/clock.hpp"
 #include "drivers/can/brake_codec.hpp"
@@ -17,6 +18,7 @@
 namespace clampd::can {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 constexpr const char* kBrakeDbc = CLAMPD_SOURCE_DIR "/configs/brake.dbc";
@@ -209,10 +211,72 @@ TEST(Codec, ErrorsSayWhatTheMappingNeeds) {
               HasSubstr("E2EDataId is '70000'"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeCommand", "TorqueCommand").minimum = 0.0; }),
               HasSubstr("a torque of either sign"));
+  EXPECT_THAT(with([](Database& d) {
+                Signal& command = edit(d, "BrakeCommand", "TorqueCommand");
+                command.type = ValueType::Unsigned;  // and no range that says so
+                command.minimum = command.maximum = 0.0;
+              }),
+              AllOf(HasSubstr("torque command: BrakeCommand.TorqueCommand in"),
+                    HasSubstr("it has 0 to 6.5535 in SI units")));
+  EXPECT_THAT(with([](Database& d) { edit(d, "BrakeFeedback", "Velocity").minimum = 0.0; }),
+              HasSubstr("brake.dbc must have a range that includes a velocity of either sign"));
+  EXPECT_THAT(with([](Database& d) { edit(d, "BrakeFeedback", "Torque").maximum = 0.0; }),
+              HasSubstr("a torque of either sign"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeCommand", "TorqueCommand").offset = 0.00005; }),
               HasSubstr("cannot express a torque of zero"));
   EXPECT_THAT(with([](Database& d) { edit(d, "BrakeClock", "SampleClock").bits = 8; }),
               HasSubstr("wrap after 16 ms"));
+}
+
+TEST(Codec, ARoleIsNoCounterAndNoChecksum) {
+  ProtocolMapping mapping;
+  mapping.enable = "BrakeCommand.AliveCounter";
+  EXPECT_THAT(build_error(brake_database(), mapping),
+              HasSubstr("is what [can.mapping] names as counter; name a signal"));
+  mapping = {};
+  mapping.fault = "BrakeFeedback.Crc";
+  EXPECT_THAT(build_error(brake_database(), mapping), HasSubstr("fault: BrakeFeedback.Crc in"));
+}
+
+TEST(Codec, UnitsAndFormatsAreReadAsFilesWriteThem) {
+  Database database = brake_database();
+  edit(database, "BrakeFeedback", "Velocity").unit = "RPM";
+  edit(database, "BrakeClock", "Position").unit = "degrees";
+  edit(database, "BrakeFeedback", "Enabled").unit = "SED";
+  database.attribute_defaults["VFrameFormat"] = "StandardCAN_FD";
+  edit(database, "BrakeClock").attributes["VFrameFormat"] = "0";
+  const auto codec = ProtocolCodec::build(database, {});
+  ASSERT_TRUE(codec) << codec.error().message;
+  EXPECT_NEAR(codec->velocity.field.scale(), 0.02 * M_PI / 30.0, 1e-12);
+  EXPECT_NEAR(codec->position.field.scale(), 0.001 * M_PI / 180.0, 1e-12);
+  EXPECT_EQ(codec->command.format, FrameFormat::Fd);
+  EXPECT_EQ(codec->feedback[0].format, FrameFormat::Fd);
+  EXPECT_EQ(codec->feedback[1].format, FrameFormat::Classic);
+}
+
+TEST(Field, IsLimitedByItsRangeAndByItsWidth) {
+  Signal signal;
+  signal.bits = 8;
+  signal.scale = -0.5;
+  signal.offset = 10.0;
+  const auto limits = [&] {
+    const Field field(signal, 2.0);
+    return std::pair{field.minimum(), field.maximum()};
+  };
+  EXPECT_EQ(limits(), (std::pair{-235.0, 20.0}));
+  signal.type = ValueType::Signed;
+  EXPECT_EQ(limits(), (std::pair{-107.0, 148.0}));
+  signal.minimum = -20.0;
+  signal.maximum = 500.0;
+  EXPECT_EQ(limits(), (std::pair{-40.0, 148.0}));
+  signal.minimum = 400.0;  // out of reach
+  EXPECT_EQ(limits(), (std::pair{800.0, 1000.0}));
+  EXPECT_FALSE(Field(signal, 2.0).plausible(148.0));
+  signal.type = ValueType::Float32;
+  signal.bits = 32;
+  signal.minimum = signal.maximum = 0.0;
+  EXPECT_TRUE(std::isinf(Field(signal, 1.0).maximum()));
+  EXPECT_EQ(Field(signal, 1.0).step(), 0.0);
 }
 
 /// The shipped brake, told its speed in place of its torque.
@@ -240,8 +304,7 @@ TEST(Codec, ABrakeIsToldItsTorqueOrItsSpeedAndNeverTheOtherOne) {
     return brake.accept(station.command(command), 0).value();
   };
   constexpr auto kVelocity = CommandedQuantity::Velocity;
-  const DriveCommand told =
-      understood({.enable = true, .velocity_rad_s = -123.4, .commanded = kVelocity});
+  const DriveCommand told = understood({.enable = true, .velocity_rad_s = -123.4, .commanded = kVelocity});
   EXPECT_TRUE(told.enable);
   EXPECT_EQ(told.commanded, kVelocity);
   EXPECT_NEAR(told.velocity_rad_s, -123.4, 0.25 * M_PI / 30.0);

@@ -2,6 +2,7 @@
 
 #include "drivers/can/log.hpp"
 
+#include <algorithm>
 #include <array>
 #include <random>
 #include <string>
@@ -70,7 +71,10 @@ TEST(FrameLog, AFileOfSomethingElseIsRefused) {
   ASSERT_FALSE(log);
   EXPECT_THAT(log.error().message,
               HasSubstr("run.csv: no CAN frame in its 2 lines, the first of which is \"time,torque\""));
-  EXPECT_FALSE(parse_log("", "empty.log"));
+  const auto empty = parse_log("", "empty.log");
+  ASSERT_FALSE(empty);
+  EXPECT_THAT(empty.error().message,
+              HasSubstr("empty.log is empty; record with 'candump -l can0' while the brake sends"));
 }
 
 TEST(FrameLog, SurvivesAnything) {
@@ -221,6 +225,57 @@ TEST_F(LogCheck, LostFramesAreANoteAndOthersAreListed) {
   EXPECT_EQ(finding.counts.lost_samples, 2U);
   ASSERT_THAT(finding.others, SizeIs(1));
   EXPECT_EQ(finding.others.begin()->first, 0x321U);
+}
+
+TEST_F(LogCheck, NotesRangesAndStepsThatChecksDoNotBear) {
+  const Demands demands{{-3.0, 3.0, 0.1}, {-350.0, 350.0, 25.0}, {0.0, 0.0, 0.3}, {0.0, 33e3, 2500.0}};
+  LogFinding shipped;
+  note_demands(codec_, demands, shipped);
+  EXPECT_THAT(shipped.notes, IsEmpty());
+  Database database = database_;
+  for (Message& message : database.messages)
+    for (Signal& signal : message.signals) {
+      if (signal.name == "TorqueCommand") signal.scale = 0.25;
+      if (signal.name == "Velocity") signal.maximum = 300.0;
+    }
+  LogFinding finding;
+  note_demands(ProtocolCodec::build(database, mapping_).value(), demands, finding);
+  EXPECT_THAT(
+      finding.notes,
+      ElementsAre(HasSubstr("torque command: its steps in the DBC file are 0.25 N m, but readings that "
+                            "are 0.1 N m apart contradict"),
+                  HasSubstr("velocity: the DBC file lets it be -600 to 300 rad/s, less than the -350 "
+                            "to 350 rad/s that the station's limits allow")));
+}
+
+TEST_F(LogCheck, TellsAMultiplexedMessageOfOtherContentFromOneThatIsNotThere) {
+  Database database = database_;
+  Message& clock = *std::find_if(database.messages.begin(), database.messages.end(),
+                                 [](const Message& message) { return message.name == "BrakeClock"; });
+  for (Signal& signal : clock.signals)
+    if (signal.name == "SampleClock" || signal.name == "Position") {
+      signal.multiplexor = clock.signals.size();
+      signal.selected_by = {{3, 3}};
+    }
+  Signal page;
+  page.name = "Page";
+  page.start_bit = 64;
+  page.bits = 8;
+  page.is_multiplexor = true;
+  clock.signals.push_back(page);
+  clock.size_bytes = 12;
+  const ProtocolCodec codec = ProtocolCodec::build(database, mapping_).value();
+  FrameLog log;
+  Frame frame{0x181, 12, {}};
+  frame.format = FrameFormat::Fd;
+  frame.data[8] = 2;
+  log.frames.push_back({0, frame});
+  const LogFinding finding = check_log(log, database, mapping_, codec);
+  EXPECT_THAT(finding.frames[2].other_content, 1U);
+  EXPECT_THAT(
+      finding.problems,
+      ElementsAre(HasSubstr("BrakeFeedback (0x180): not in the log"),
+                  HasSubstr("BrakeClock (0x181): of 1 frames with its identifier none has 12 bytes")));
 }
 
 /// What `can check` says of a log of a brake that sends no clock and samples every 1.01 ms; `change` as
