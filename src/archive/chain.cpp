@@ -29,7 +29,7 @@ constexpr const char* kFirstColumns =
 
 /// What later formats added to `checks`, one each: format 2 has the first of them.
 constexpr std::array<const char*, kChainFormat - 1> kLaterColumns{"systematic", "stopping", "sheet",
-                                                              "recipe"};
+                                                              "recipe", "found_rad"};
 
 constexpr std::array<DigestedTable, 4> kTables{{
     {"parameters", "position, name, unit, value, sd, lower, upper, verdict",

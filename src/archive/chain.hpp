@@ -43,7 +43,7 @@ struct ChainLink {
 };
 
 /// What the columns of contents are: another format where a later version stores more.
-inline constexpr int kChainFormat = 5;
+inline constexpr int kChainFormat = 6;
 
 /// The link's own SHA-256: over all of it and the one before.
 std::string link_sha256(const ChainLink& link, const std::string& chain_before);

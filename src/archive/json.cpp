@@ -184,6 +184,7 @@ ordered_json check_json(const CheckRecord& record) {
                                                   {"sd_Nm", record.torque_while_off->sd_Nm},
                                                   {"rows", record.torque_while_off->rows}}
                                    : ordered_json(nullptr)},
+          {"found_rad", record.found_rad ? number_or_null(*record.found_rad) : ordered_json(nullptr)},
           {"method", record.method},
           {"covariance_normalised", matrix_json(record.covariance_normalised)},
           {"void", record.voided ? ordered_json{{"reason", record.voided->reason},

@@ -147,7 +147,16 @@ std::optional<RecipeRecord> recipe_from(const std::string& text) {
                       recipe.at("sha256").get<std::string>()};
 }
 
-constexpr int kCheckColumns = 45;
+/// Empty where it is not known.
+std::string found_text(const std::optional<double>& found_rad) {
+  return found_rad ? nlohmann::json(*found_rad).dump() : "";
+}
+
+std::optional<double> found_from(const std::string& text) {
+  return text.empty() ? std::optional<double>() : nlohmann::json::parse(text).get<double>();
+}
+
+constexpr int kCheckColumns = 46;
 /// Microseconds; the loop keeps a few thousand.
 constexpr std::size_t kMaxHistogramBins = 1'000'000;
 
@@ -163,7 +172,7 @@ void insert_check(SQLite::Database& database, const CheckRecord& r) {
       << r.method << r.noise_torque_Nm << cause_text(r.cause) << torque_while_off_text(r.torque_while_off)
       << r.tare_force_N << r.tare_force_sd_N << r.tare_velocity_rad_s << r.tare_velocity_sd_rad_s
       << systematic_text(r.systematic) << stopping_text(r.stopping) << sheet_text(r.sheet)
-      << recipe_text(r.recipe);
+      << recipe_text(r.recipe) << found_text(r.found_rad);
   row.insert();
 }
 
@@ -295,7 +304,7 @@ void insert_record(SQLite::Database& database, const CheckRecord& record) {
 }
 
 void read_check(SQLite::Statement& statement, CheckRecord& r) {
-  std::string covariance, cause, torque_while_off, systematic, stopping, sheet, recipe;
+  std::string covariance, cause, torque_while_off, systematic, stopping, sheet, recipe, found;
   Columns columns(statement);
   columns >> r.id >> r.serial >> r.part_number >> r.batch >> r.station >> r.fixture >> r.operator_name >>
       r.software_version >> r.limits_file >> r.limits_revision >> r.limits_sha256 >> r.trajectory_sha256 >>
@@ -304,7 +313,9 @@ void read_check(SQLite::Statement& statement, CheckRecord& r) {
       r.tracking_rms_N >> r.timing.ticks >> r.timing.skipped >> r.timing.lost_samples >>
       r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >>
       r.method >> r.noise_torque_Nm >> cause >> torque_while_off >> r.tare_force_N >> r.tare_force_sd_N >>
-      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic >> stopping >> sheet >> recipe;
+      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic >> stopping >> sheet >> recipe >>
+      found;
+  r.found_rad = found_from(found);
   r.recipe = recipe_from(recipe);
   r.sheet = sheet_from(sheet);
   r.stopping = stopping_from(stopping);

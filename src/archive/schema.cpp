@@ -14,7 +14,7 @@ constexpr int kApplicationId = 0x636c6d70;
 constexpr int kFirstWithApplicationId = 7;
 
 /// Step i brings a database of version i to i + 1 (PRAGMA user_version). Steps are never changed, only added.
-constexpr std::array<const char*, 15> kMigrations{
+constexpr std::array<const char*, 17> kMigrations{
     R"sql(
 CREATE TABLE checks (
   id TEXT PRIMARY KEY NOT NULL,
@@ -123,6 +123,11 @@ ALTER TABLE checks ADD COLUMN sheet TEXT NOT NULL DEFAULT '';
     "",
     R"sql(
 ALTER TABLE checks ADD COLUMN recipe TEXT NOT NULL DEFAULT '';
+)sql",
+    // Version 16 was the same.
+    "",
+    R"sql(
+ALTER TABLE checks ADD COLUMN found_rad TEXT NOT NULL DEFAULT '';
 )sql"};
 
 /// All tables are there, but checks of an older version are not all in the chain yet.

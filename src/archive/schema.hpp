@@ -8,7 +8,7 @@
 namespace clampd {
 
 /// What this version writes (PRAGMA user_version).
-inline constexpr int kSchemaVersion = 16;
+inline constexpr int kSchemaVersion = 18;
 
 /// The version that a file has; 0 for an empty one. Errors: it is another program's database, or a newer
 /// version's.

@@ -201,6 +201,12 @@ SensorNoise noise_without_model(std::span<const Run> runs) {
           std::max(kSmallestNoise.velocity_rad_s, noise_from(velocity))};
 }
 
+double position_noise_without_model(std::span<const Run> runs) {
+  std::vector<double> position;
+  for (const Run& run : runs) append_third_differences(run.position_rad, position);
+  return position.empty() ? 0.0 : noise_from(position);
+}
+
 BrakeState initial_state_guess(const Run& run, const ParameterVector& theta) {
   const std::vector<double> travel = travel_of(run);
   const PolynomialStiffness stiffness(theta.data());

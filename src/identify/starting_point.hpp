@@ -12,6 +12,9 @@ namespace clampd::identify {
 /// survives. Never less than kSmallestNoise.
 SensorNoise noise_without_model(std::span<const Run> runs);
 
+/// The same of the position readings, their rounding included; 0 where there are none.
+double position_noise_without_model(std::span<const Run> runs);
+
 /// Below these the noise is not believed: quantisation, or a simulated run without any.
 inline constexpr SensorNoise kSmallestNoise{0.05, 5e-4};
 

@@ -16,7 +16,7 @@ INSERT INTO clampd.checks (id, serial, part_number, batch, station, fixture, ope
   limits_file, limits_revision, limits_sha256, trajectory_sha256, instruments, simulated, started, stopped,
   duration_s, repeats, verdict, marginal, reason, fault, cause, method, noise_force_n, noise_velocity_rad_s,
   noise_torque_nm, tracking_rms_n, timing, covariance_normalised, sheet, outbox_sequence, tare,
-  recipe, stopping)
+  recipe, stopping, found_rad)
 SELECT d->>'record', d->>'serial', d->>'part_number', d->>'batch', d->>'station', d->>'fixture',
   d->>'operator', d->>'software_version', d->'limits'->>'file', d->'limits'->>'revision', d->'limits'->>'sha256',
   d->>'trajectory_sha256', d->'instruments', (d->>'simulated')::boolean, NULLIF(d->>'started', '')::timestamptz,
@@ -25,7 +25,7 @@ SELECT d->>'record', d->>'serial', d->>'part_number', d->>'batch', d->>'station'
   (d->'noise'->>'force_N')::double precision, (d->'noise'->>'velocity_rad_s')::double precision,
   (d->'noise'->>'torque_Nm')::double precision, (d->>'tracking_rms_N')::double precision, d->'timing',
   d->'covariance_normalised', NULLIF(d->'sheet', 'null'), (d->'outbox'->>'sequence')::bigint, d->'tare',
-  NULLIF(d->'recipe', 'null'), d->'stopping'
+  NULLIF(d->'recipe', 'null'), d->'stopping', (d->>'found_rad')::double precision
 FROM (SELECT $1::jsonb AS d) AS document
 ON CONFLICT (id) DO NOTHING)sql";
 

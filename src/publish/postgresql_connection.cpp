@@ -116,6 +116,9 @@ ALTER TABLE clampd.checks ADD COLUMN recipe jsonb;
     // JSON's null: a fixed number of repeats; SQL's NULL: published by a version that did not say it.
     R"sql(
 ALTER TABLE clampd.checks ADD COLUMN stopping jsonb;
+)sql",
+    R"sql(
+ALTER TABLE clampd.checks ADD COLUMN found_rad double precision;
 )sql"};
 
 /// A value of a connection string.

@@ -14,7 +14,7 @@
 namespace clampd::publish {
 
 /// Of the database, as this version of clampd makes it.
-inline constexpr int kSchemaVersion = 6;
+inline constexpr int kSchemaVersion = 7;
 
 /// One connection to a PostgreSQL server, and its errors in words. Used by one thread.
 class PostgresqlConnection {

@@ -239,7 +239,8 @@ Result<std::optional<std::string>> identify_check(const ArchivedCheck& check, st
                     .is_by_output_errors = task.method == Method::OutputError && !task.model,
                     .guard_band_k = task.limits.guard_band_k,
                     .sheet = criteria->sheet ? &*criteria->sheet : nullptr,
-                    .stopping = criteria->stopping ? &*criteria->stopping : nullptr},
+                    .stopping = criteria->stopping ? &*criteria->stopping : nullptr,
+                    .found_rad = check.found_rad},
                    facts);
   if (facts.estimated && facts.fault == FaultCause::None && criteria->sheet &&
       criteria->sheet->characteristics.empty())

@@ -41,7 +41,7 @@ SELECT serial, verdict, reason, fault, repeats, COALESCE((timing->>'skipped')::b
   COALESCE((timing->>'lost_samples')::bigint, 0), COALESCE(tracking_rms_n, 0),
   (tare->>'force_sd_N')::double precision, (tare->>'velocity_sd_rad_s')::double precision,
   stopping IS NOT NULL, (stopping->>'most')::bigint, (stopping->>'coverage_factor')::double precision,
-  sheet->>'file', sheet->>'revision', sheet->>'sha256', COALESCE(stopping->'trajectories', '[]') <> '[]'
+  sheet->>'file', sheet->>'revision', sheet->>'sha256', COALESCE(stopping->'trajectories', '[]') <> '[]', found_rad
 FROM clampd.checks WHERE id = $1)sql";
 
 constexpr const char* kSheet = R"sql(
@@ -191,6 +191,7 @@ Result<ArchivedCheck> Queue::check(const std::string& id) {
         check.is_stopping_known = row[10].as<bool>();
         if (!row[11].is_null()) check.stopping = {row[11].as<std::uint32_t>(), row[12].as<double>(0.0), {}};
         check.chose_runs = row[16].as<bool>();
+        if (!row[17].is_null()) check.found_rad = row[17].as<double>();
         if (!row[13].is_null()) check.sheet = recorded_sheet(transaction, id, row);
         for (const pqxx::row& run : transaction.exec_params(kRuns, id)) {
           ArchivedRun& archived = check.runs.emplace_back();

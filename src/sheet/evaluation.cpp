@@ -61,11 +61,31 @@ const ParameterInfo* meaningless(const ParameterVector& theta) {
   return nullptr;
 }
 
+/// What the encoder tells.
+CharacteristicEstimate evaluate_contact(const CharacteristicKind& kind, const Posterior& posterior) {
+  const ContactPoint& contact = posterior.contact;
+  if (!contact.why.empty()) return no_number(State::Unknown, contact.why);
+  if (kind.from_where_found && !posterior.found_rad)
+    return no_number(State::Unknown,
+                     "where the check found the brake is not on record: let a station check it, since run files and "
+                     "checks of earlier versions do not say, or leave this line out");
+  double value = contact.position_rad;
+  double variance = contact.by_parameters.dot(posterior.covariance_normalised * contact.by_parameters +
+                                              2.0 * posterior.covariance_with_contact) +
+                    contact.variance_rad2;
+  if (kind.from_where_found) {
+    value -= *posterior.found_rad;
+    variance += contact.reading_sd_rad * contact.reading_sd_rad;
+  }
+  return {State::Known, value, std::sqrt(variance), {}};
+}
+
 CharacteristicEstimate evaluate_one(const Characteristic& line, const Posterior& posterior,
                                     const BrakeParameters& nominal) {
   const CharacteristicKind& kind = *line.kind;
   if (std::string why = missing(kind, posterior); !why.empty())
     return no_number(State::Unknown, std::move(why));
+  if (kind.value == nullptr) return evaluate_contact(kind, posterior);
   // What the kind does not need may be unknown: any value does.
   BrakeParameters centre{nominal.theta, posterior.parameters.fixed};
   for (const Parameter parameter : kind.needs)

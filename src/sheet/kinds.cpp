@@ -134,6 +134,23 @@ std::span<const CharacteristicKind> characteristic_kinds() {
        3.0,
        least_torque_Nm},
       {"stiffness", "N/rad", "force over motor angle", {kForce}, {k1, k2}, 1.0, 1e5, stiffness_N_rad},
+      {"contact-point",
+       "rad",
+       "reading of the motor's encoder at which the pads begin to touch",
+       {},
+       {k1, k2},
+       -1e6,
+       1e6,
+       nullptr},
+      {"clearance",
+       "rad",
+       "how far from contact the check found the brake",
+       {},
+       {k1, k2},
+       -100.0,
+       1000.0,
+       nullptr,
+       true},
   };
   return kKinds;
 }

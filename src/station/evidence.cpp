@@ -6,7 +6,6 @@
 #include <fmt/format.h>
 
 #include "clampd/identify/systematic_misfit.hpp"
-#include "clampd/sheet/evaluation.hpp"
 #include "clampd/station/cause.hpp"
 
 namespace clampd {
@@ -19,6 +18,18 @@ Eigen::Vector2d offset_sd(const Tare& tare) {
 ParameterMatrix tare_covariance_normalised(const Estimate& joint, const Tare& tare) {
   return joint.offset_sensitivity * offset_sd(tare).cwiseAbs2().asDiagonal() *
          joint.offset_sensitivity.transpose();
+}
+
+Posterior posterior_of_check(const Estimate& joint, const ParameterMatrix& added, std::span<const Run> runs,
+                             const Tare& tare, std::optional<double> found_rad) {
+  Posterior posterior = posterior_of(joint, added);
+  posterior.found_rad = found_rad;
+  posterior.contact = contact_point(runs, joint);
+  const double force_variance_N2 = std::pow(offset_sd(tare)[0], 2);
+  const double by_offset = posterior.contact.by_force_offset;
+  posterior.contact.variance_rad2 += by_offset * by_offset * force_variance_N2;
+  posterior.covariance_with_contact = by_offset * force_variance_N2 * joint.offset_sensitivity.col(0);
+  return posterior;
 }
 
 ParameterVector sd_with_tare(const Estimate& joint, const Tare& tare) {
@@ -73,11 +84,10 @@ std::vector<EffectEstimate> with_tare_sd(std::vector<EffectEstimate> effects, co
 /// Tests whether the repeats have something in common that the model lacks; where that may move a parameter
 /// by more than its standard deviation, the deviations grow by as much, and so does what is `added` to the
 /// estimate's covariance.
-std::optional<SystematicRecord> count_misfit(const Estimate& joint, const std::vector<RunRecord>& runs,
-                                             ParameterVector& sd, ParameterMatrix& added) {
-  std::vector<std::uint8_t> motions;
-  for (const RunRecord& run : runs) motions.push_back(run.trajectory);
-  const SystematicMisfit misfit = systematic_misfit(runs_of(runs), joint, motions);
+std::optional<SystematicRecord> count_misfit(const Estimate& joint, std::span<const Run> runs,
+                                             std::span<const std::uint8_t> motions, ParameterVector& sd,
+                                             ParameterMatrix& added) {
+  const SystematicMisfit misfit = systematic_misfit(runs, joint, motions);
   if (!misfit.can_tell) return std::nullopt;
   const ParameterVector nominal = nominal_parameters().cwiseAbs();
   const ParameterVector sd_normalised = sd.cwiseQuotient(nominal);
@@ -93,10 +103,10 @@ std::optional<SystematicRecord> count_misfit(const Estimate& joint, const std::v
 
 }  // namespace
 
-std::optional<SystematicRecord> add_estimate(const Estimate& joint, const std::vector<RunRecord>& runs,
+std::optional<SystematicRecord> add_estimate(const Estimate& joint, const std::vector<RunRecord>& records,
                                              const EstimateReading& reading, CheckFacts& facts) {
   facts.estimate_text = joint.message;
-  facts.estimated = !runs.empty() && joint.converged();
+  facts.estimated = !records.empty() && joint.converged();
   facts.unexplained = joint.termination == Termination::Unexplained;
   if (!facts.estimated) return std::nullopt;
   if (reading.is_by_output_errors && joint.method == Method::PredictionError)
@@ -105,18 +115,22 @@ std::optional<SystematicRecord> add_estimate(const Estimate& joint, const std::v
   facts.estimate = joint.parameters.theta;
   facts.sd = sd_with_tare(joint, reading.tare);
   ParameterMatrix added = tare_covariance_normalised(joint, reading.tare);
-  std::optional<SystematicRecord> systematic = count_misfit(joint, runs, facts.sd, added);
+  const std::vector<Run> runs = runs_of(records);
+  std::vector<std::uint8_t> motions;
+  for (const RunRecord& record : records) motions.push_back(record.trajectory);
+  std::optional<SystematicRecord> systematic = count_misfit(joint, runs, motions, facts.sd, added);
   const ExpectedResidual expected =
-      expected_residual(reading.tare, runs, reading.model, reading.torque_noise_Nm);
+      expected_residual(reading.tare, records, reading.model, reading.torque_noise_Nm);
   facts.effects = with_tare_sd(joint.effects, reading.tare);
   facts.misfit_force = ratio(joint.force_rms_N, expected.force_N);
   facts.misfit_velocity = ratio(joint.velocity_rms_rad_s, expected.velocity_rad_s);
   if (reading.stopping) facts.guard_bands = reading.stopping->guard_bands(joint);
-  if (reading.sheet)
-    facts.characteristics =
-        judge_sheet(reading.sheet->characteristics,
-                    evaluate(reading.sheet->characteristics, posterior_of(joint, added), reading.model),
-                    facts.guard_bands ? facts.guard_bands->widest() : reading.guard_band_k);
+  if (reading.sheet) {
+    const Posterior posterior = posterior_of_check(joint, added, runs, reading.tare, reading.found_rad);
+    facts.characteristics = judge_sheet(reading.sheet->characteristics,
+                                        evaluate(reading.sheet->characteristics, posterior, reading.model),
+                                        facts.guard_bands ? facts.guard_bands->widest() : reading.guard_band_k);
+  }
   return systematic;
 }
 

@@ -55,7 +55,10 @@ std::optional<CollectedRun> RunCollector::consume(const Sample& sample) {
       discard(fmt::format("{} ended after {} of {} rows", open_->run.name, open_->run.size(), rows_));
     return std::nullopt;
   }
-  if (samples_++ == 0) first_time_ns_ = sample.brake_time_ns;
+  if (samples_++ == 0) {
+    first_time_ns_ = sample.brake_time_ns;
+    if (std::isfinite(sample.position_rad)) found_rad_ = sample.position_rad;
+  }
   const bool consecutive = !last_ || sample.sample_index == last_->sample_index + 1;
   if (!consecutive && sample.sample_index > last_->sample_index)
     samples_lost_ += static_cast<std::uint64_t>(sample.sample_index - last_->sample_index - 1);

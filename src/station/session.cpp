@@ -150,8 +150,8 @@ Looks CheckSession::looks() {
           }};
 }
 
-/// What the verdict would be if the check ended here and the station did its part. The tare was over before
-/// the first run, so that whoever identifies the runs may read it.
+/// What the verdict would be if the check ended here and the station did its part. The tare, as the check's first
+/// sample, was over before the first run, so that whoever identifies the runs may read it.
 Look CheckSession::look_at(const std::vector<RunRecord>& runs, const Estimate& joint) const {
   CheckFacts facts;
   facts.tracking_rms_N = tracking_rms_N(runs);
@@ -280,7 +280,8 @@ EstimateReading CheckSession::reading() const {
           is_by_output_errors(),
           limits_.guard_band_k,
           sheet_ ? &*sheet_ : nullptr,
-          stopping_ ? &*stopping_ : nullptr};
+          stopping_ ? &*stopping_ : nullptr,
+          collector_.found_rad()};
 }
 
 /// What a verdict depends on. Takes the texts of `outcome`; what the estimate says of the record goes there.
@@ -320,6 +321,7 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   record.runs = std::move(identified.runs);
   record.stopped = format_utc(std::max(outcome.stopped_utc_ns, started_utc_ns_));
   record.duration_s = collector_.duration_s();
+  record.found_rad = collector_.found_rad();
   record.fault = outcome.fault;
   record.timing = std::move(outcome.timing);
   // A sample that the port or the ring lost is also a gap in what arrived here: the larger count is the true

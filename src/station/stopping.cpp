@@ -10,6 +10,7 @@
 #include "clampd/base/assert.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/sheet/evaluation.hpp"
+#include "clampd/station/cause.hpp"
 #include "clampd/statistics/distributions.hpp"
 #include "clampd/statistics/sequential.hpp"
 
@@ -108,19 +109,18 @@ namespace {
 
 /// Sum of the logarithms of the standard deviations, under this covariance, of what is in doubt. NaN where
 /// one is not known.
-double log_deviations(const ParameterMatrix& covariance, const Judgement& judgement, const Estimate& joint,
+double log_deviations(const Posterior& expected, const Judgement& judgement,
                       std::span<const Characteristic> sheet, const BrakeParameters& nominal) {
   double sum = 0.0;
   for (const ParameterRecord& parameter : judgement.parameters) {
     const auto index = find_parameter(parameter.name);
     if (!is_marginal(parameter) || !index) continue;
     const auto k = static_cast<Eigen::Index>(*index);
-    sum += 0.5 * std::log(covariance(k, k));
+    sum += 0.5 * std::log(expected.covariance_normalised(k, k));
   }
   if (std::none_of(judgement.characteristics.begin(), judgement.characteristics.end(), is_marginal<CharacteristicRecord>))
     return sum;
-  const std::vector<CharacteristicEstimate> lines =
-      evaluate(sheet, Posterior{joint.parameters, covariance, ""}, nominal);
+  const std::vector<CharacteristicEstimate> lines = evaluate(sheet, expected, nominal);
   for (std::size_t i = 0; i < lines.size(); ++i)
     if (is_marginal(judgement.characteristics[i])) sum += std::log(lines[i].sd);
   return sum;
@@ -136,10 +136,15 @@ std::uint8_t next_trajectory_for(const Judgement& judgement, const Estimate& joi
   for (const RunRecord& run : runs)
     if (run.trajectory < driven.size()) driven[run.trajectory] += 1.0;
   const NextRunValue value = trajectories.value_of_next(joint, driven);
+  // What the encoder tells gets better by one more run of any kind alike; where the brake was found changes nothing.
+  Posterior expected{.parameters = joint.parameters,
+                     .contact = contact_point(runs_of(runs), joint),
+                     .found_rad = 0.0};
   std::uint8_t best = 0;
   double least = std::numeric_limits<double>::infinity();
   for (std::size_t k = 0; k < value.after.size(); ++k) {
-    const double sum = log_deviations(value.after[k], judgement, joint, sheet, nominal);
+    expected.covariance_normalised = value.after[k];
+    const double sum = log_deviations(expected, judgement, sheet, nominal);
     if (!(sum < least)) continue;
     best = static_cast<std::uint8_t>(k);
     least = sum;

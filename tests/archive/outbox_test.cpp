@@ -77,7 +77,7 @@ TEST_F(Outbox, PutsMarksFromBeforeItInOrder) {
             "ALTER TABLE checks DROP COLUMN tare_velocity_sd_rad_s; DROP TABLE amendments; DROP TABLE chain; "
             "ALTER TABLE runs DROP COLUMN data; ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE "
             "checks DROP COLUMN stopping; ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP "
-            "COLUMN recipe; PRAGMA "
+            "COLUMN recipe; ALTER TABLE checks DROP COLUMN found_rad; PRAGMA "
             "application_id = 0; "
             "PRAGMA user_version = 4");
   }

@@ -162,7 +162,7 @@ void undo_steps_7_and_8(SQLite::Database& database) {
       "DROP TABLE chain; DROP TABLE amendments; ALTER TABLE runs DROP COLUMN data; ALTER TABLE checks DROP "
       "COLUMN "
       "systematic; ALTER TABLE checks DROP COLUMN stopping; ALTER TABLE checks DROP COLUMN sheet; ALTER "
-      "TABLE checks DROP COLUMN recipe; PRAGMA "
+      "TABLE checks DROP COLUMN recipe; ALTER TABLE checks DROP COLUMN found_rad; PRAGMA "
       "application_id = "
       "0; "
       "PRAGMA user_version = 6");
@@ -192,7 +192,7 @@ TEST_F(Store, BringsResultsFromBeforeCausesUpToDate) {
     old.exec("ALTER TABLE checks DROP COLUMN cause");
     old.exec("PRAGMA user_version = 2");
   }
-  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 16"));
+  EXPECT_THAT(CheckStore::open(path, Access::ReadOnly).error().message, HasSubstr("schema 2 instead of 18"));
   CheckStore store = open();
   const auto loaded = store.load("last");
   ASSERT_TRUE(loaded) << loaded.error().message;
@@ -251,7 +251,8 @@ TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
   make_older(
       1,
       "ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE checks DROP COLUMN stopping; "
-      "ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP COLUMN recipe; PRAGMA user_version = 8");
+      "ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP COLUMN recipe; "
+      "ALTER TABLE checks DROP COLUMN found_rad; PRAGMA user_version = 8");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.systematic = SystematicRecord{1e-9, 0.6, 3.5, true};
@@ -273,7 +274,7 @@ TEST_F(Store, KeepsWhatSchema10SealedVerifiable) {
   const std::string id = make_check_record().id;
   make_older(2,
              "ALTER TABLE checks DROP COLUMN stopping; ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE "
-             "checks DROP COLUMN recipe; PRAGMA "
+             "checks DROP COLUMN recipe; ALTER TABLE checks DROP COLUMN found_rad; PRAGMA "
              "user_version = 10");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
@@ -297,8 +298,8 @@ TEST_F(Store, KeepsWhatSchema10SealedVerifiable) {
 TEST_F(Store, KeepsWhatSchema12SealedVerifiable) {
   const std::string id = make_check_record().id;
   make_older(3,
-             "ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP COLUMN recipe; PRAGMA "
-             "user_version = 12");
+             "ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP COLUMN recipe; ALTER TABLE checks "
+             "DROP COLUMN found_rad; PRAGMA user_version = 12");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.sheet = support::make_sheet_record();
@@ -318,7 +319,9 @@ TEST_F(Store, KeepsWhatSchema12SealedVerifiable) {
 
 TEST_F(Store, KeepsWhatSchema14SealedVerifiable) {
   const std::string id = make_check_record().id;
-  make_older(4, "ALTER TABLE checks DROP COLUMN recipe; PRAGMA user_version = 14");
+  make_older(4,
+             "ALTER TABLE checks DROP COLUMN recipe; ALTER TABLE checks DROP COLUMN found_rad; PRAGMA "
+             "user_version = 14");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.recipe = RecipeRecord{"recipes/p-17.toml", "3", std::string(64, 'd')};
@@ -333,6 +336,28 @@ TEST_F(Store, KeepsWhatSchema14SealedVerifiable) {
     change.exec();
   }
   EXPECT_EQ(store.verify()->damage.size(), 2U) << "the recipe is sealed too, and none is put into old checks";
+}
+
+TEST_F(Store, KeepsWhatSchema16SealedVerifiable) {
+  const std::string id = make_check_record().id;
+  make_older(5, "ALTER TABLE checks DROP COLUMN found_rad; PRAGMA user_version = 16");
+  CheckStore store = open();
+  CheckRecord later = make_check_record("20261121T000000000Z-00000000");
+  later.found_rad = 1e4 + 1.0 / 3.0;
+  ASSERT_TRUE(store.save(later));
+  EXPECT_EQ(store.load(later.id)->found_rad, later.found_rad);
+  EXPECT_FALSE(store.load(id)->found_rad);
+  EXPECT_TRUE(check_json(*store.load(id)).at("found_rad").is_null());
+  EXPECT_EQ(check_json(*store.load(later.id)).at("found_rad"), *later.found_rad);
+  EXPECT_THAT(store.verify()->damage, ::testing::IsEmpty());
+  for (const std::string& changed : {id, later.id}) {
+    SQLite::Database database(path, SQLite::OPEN_READWRITE);
+    SQLite::Statement change(database, "UPDATE checks SET found_rad = '11.3' WHERE id = ?");
+    change.bind(1, changed);
+    change.exec();
+  }
+  EXPECT_EQ(store.verify()->damage.size(), 2U)
+      << "where it was found is sealed too, and none is put into old checks";
 }
 
 TEST_F(Store, NumbersOutboxesOfOldInTimeThatGrowsWithTheirLength) {
@@ -640,7 +665,7 @@ TEST_F(Store, AdoptsNoDatabaseOfAnotherProgram) {
 TEST_F(Store, IsWriteAheadLoggedAndSynced) {
   CheckStore store = open();
   EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA journal_mode").getString(), "wal");
-  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 16);
+  EXPECT_EQ(SQLite::Database(path).execAndGet("PRAGMA user_version").getInt(), 18);
 }
 
 TEST_F(Store, ReadsWhileAnotherWrites) {

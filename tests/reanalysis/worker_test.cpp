@@ -249,16 +249,16 @@ TEST_F(ArchiveWorkers, RefuseAnOlderAndANewerSchema) {
     const Result<WorkerSummary> summary = work(worker("one"), wake);
     return summary ? std::string("none") : summary.error().message;
   };
-  ask("INSERT INTO clampd.migrations (version) VALUES (7)");
-  EXPECT_THAT(refusal(), HasSubstr("its schema is 7, newer than the 6"));
+  ask("INSERT INTO clampd.migrations (version) VALUES (8)");
+  EXPECT_THAT(refusal(), HasSubstr("its schema is 8, newer than the 7"));
   const auto newer = Jobs::open(settings(), true);
   ASSERT_FALSE(newer);
   EXPECT_THAT(newer.error().message, HasSubstr("install the newer version here"));
-  ask("DELETE FROM clampd.migrations WHERE version >= 6");
-  EXPECT_THAT(refusal(), HasSubstr("its schema is 5, and this version"));
+  ask("DELETE FROM clampd.migrations WHERE version >= 7");
+  EXPECT_THAT(refusal(), HasSubstr("its schema is 6, and this version"));
   const auto older = Jobs::open(settings(), false);
   ASSERT_FALSE(older);
-  EXPECT_THAT(older.error().message, HasSubstr("needs 6"));
+  EXPECT_THAT(older.error().message, HasSubstr("needs 7"));
   EXPECT_EQ(states(), "waiting waiting waiting waiting");
 }
 

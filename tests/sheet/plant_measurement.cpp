@@ -146,6 +146,8 @@ double breakaway_Nm(const sim::PlantConfiguration& plant, double from_rad, doubl
 std::optional<double> measure(const Characteristic& characteristic, sim::PlantConfiguration plant) {
   const std::string_view kind = characteristic.kind->name;
   const Circumstances& at = characteristic.circumstances;
+  if (kind == "contact-point") return plant.encoder_zero_rad;
+  if (kind == "clearance") return plant.clearance_rad;
   if (kind == "drag") return friction_at(plant, -25.0, -1.0, at.speed_rad_s);
   const std::optional<double> x = position_rad(plant.brake, at.force_N);
   if (!x) return std::nullopt;

@@ -6,6 +6,7 @@
 #include <limits>
 #include <optional>
 #include <ostream>
+#include <random>
 #include <stdexcept>
 
 #include <fmt/format.h>
@@ -16,7 +17,10 @@
 #include "clampd/record/run.hpp"
 #include "clampd/sheet/evaluation.hpp"
 #include "clampd/simulation/simulate.hpp"
+#include "clampd/station/evidence.hpp"
+#include "clampd/station/run_collector.hpp"
 #include "clampd/station/verdict.hpp"
+#include "drivers/sim/simulated_brake.hpp"
 #include "tests/sheet/plant_measurement.hpp"
 #include "tests/support/drawn_brake.hpp"
 
@@ -24,6 +28,24 @@ namespace clampd::support {
 namespace {
 
 constexpr double kGuardBand = 2.0;
+
+/// Where its encoder stands at contact, how well it reads, and how far open the check finds the brake: most as another
+/// station leaves them, some anywhere, clamped ones too.
+void draw_place(Draws& draws, sim::PlantConfiguration& plant) {
+  plant.encoder_zero_rad = 1e4 + draws.uniform(-1.0, 1.0);
+  plant.sensors.position_noise_rad = draws.log_uniform(1e-4, 1e-2);
+  plant.sensors.position_quantum_rad = draws.log_uniform(1e-4, 5e-2);
+  const bool is_anywhere = draws.uniform(0.0, 1.0) < 0.2;
+  plant.clearance_rad = is_anywhere ? draws.uniform(-25.0, 25.0) : draws.uniform(5.0, 7.0);
+}
+
+/// Of a brake of the population in which limits are set; nothing if it does not get there.
+std::optional<double> drawn_value(const Characteristic& line, Draws& draws) {
+  if (line.kind->value != nullptr) return line.kind->value(draws.brake(), line.circumstances, {});
+  sim::PlantConfiguration plant;
+  draw_place(draws, plant);
+  return measure(line, plant);
+}
 
 /// The shipped sheet, each line limited where a tenth of the brakes are beyond.
 std::vector<Characteristic> limited_lines() {
@@ -34,8 +56,7 @@ std::vector<Characteristic> limited_lines() {
     Draws draws(99);
     std::vector<double> values;
     for (int i = 0; i < kPopulation; ++i)
-      if (const auto value = line.kind->value(draws.brake(), line.circumstances, {}))
-        values.push_back(*value);
+      if (const auto value = drawn_value(line, draws)) values.push_back(*value);
     std::sort(values.begin(), values.end());
     const bool from_below = std::isfinite(line.lower);
     constexpr double kNoLimit = std::numeric_limits<double>::infinity();
@@ -68,12 +89,30 @@ void count(CharacteristicCount& counts, const Characteristic& line, const Charac
   (is_marginal ? counts.marginal_wrong : counts.decided_wrong) += is_wrong;
 }
 
-/// What a check adds to the covariance for a systematic misfit; counts those that do.
-ParameterMatrix counted_misfit(const std::vector<Run>& runs, const Estimate& estimate, int& marked) {
+/// Takes off what a tare of half a second with these sensors gets wrong, and puts the encoder back to where it stands.
+Tare tare_and_place(Draws& draws, const sim::PlantConfiguration& plant, std::vector<Run>& runs) {
+  const Tare tare{.samples = 500,
+                  .force_sd_N = plant.sensors.force_noise_N,
+                  .velocity_sd_rad_s = plant.sensors.velocity_noise_rad_s};
+  std::normal_distribution<double> normal;
+  const double force_N = offset_sd(tare)[0] * normal(draws.generator());
+  const double velocity_rad_s = offset_sd(tare)[1] * normal(draws.generator());
+  for (Run& run : runs) {
+    for (double& value : run.force_N) value -= force_N;
+    for (double& value : run.velocity_rad_s) value -= velocity_rad_s;
+    for (double& value : run.position_rad) value += plant.encoder_zero_rad;
+  }
+  return tare;
+}
+
+/// What a check adds to the covariance for the tare, and for a systematic misfit; counts those that have one.
+ParameterMatrix added_by_check(const std::vector<Run>& runs, const Estimate& estimate, const Tare& tare,
+                               int& marked) {
+  const ParameterMatrix by_tare = tare_covariance_normalised(estimate, tare);
   const SystematicMisfit misfit = systematic_misfit(runs, estimate);
-  if (!misfit.counts(estimate.covariance_normalised.diagonal().cwiseSqrt())) return ParameterMatrix::Zero();
+  if (!misfit.counts((estimate.covariance_normalised + by_tare).diagonal().cwiseSqrt())) return by_tare;
   ++marked;
-  return misfit.covariance_normalised;
+  return by_tare + misfit.covariance_normalised;
 }
 
 }  // namespace
@@ -91,7 +130,7 @@ SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
   for (const Characteristic& line : lines)
     campaign.characteristics.push_back(
         {.name = line.name, .limit = std::isfinite(line.lower) ? line.lower : line.upper});
-  Draws draws(options.seed);
+  Draws draws(options.seed), places(options.seed + 1000);
   for (int i = 0; i < options.brakes; ++i) {
     sim::PlantConfiguration plant = shipped;
     plant.brake = draws.brake();
@@ -100,12 +139,15 @@ SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
     plant.sensors.velocity_noise_rad_s = noise.sensors.velocity_rad_s;
     plant.sensors.torque_noise_Nm = noise.torque_Nm;
     plant.seed = draws.generator()();
-    const Result<std::vector<Run>> runs =
+    draw_place(places, plant);
+    Result<std::vector<Run>> runs =
         simulate_manoeuvre(plant, reference, {}, static_cast<std::uint16_t>(options.repeats));
     if (!runs) {
       ++campaign.not_driven;
       continue;
     }
+    const Tare tare = tare_and_place(places, plant, *runs);
+    const double found_rad = sim::SimulatedBrake(plant).sample().position_rad;
     const Estimate estimate = identify_brake(options.method, *runs, {});
     if (!estimate.converged()) {
       ++campaign.not_identified;
@@ -114,8 +156,9 @@ SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
     ++campaign.brakes;
     const auto begin = std::chrono::steady_clock::now();
     const int marked_before = campaign.marked;
+    const ParameterMatrix added = added_by_check(*runs, estimate, tare, campaign.marked);
     const std::vector<CharacteristicEstimate> sheet =
-        evaluate(lines, posterior_of(estimate, counted_misfit(*runs, estimate, campaign.marked)), {});
+        evaluate(lines, posterior_of_check(estimate, added, *runs, tare, found_rad), {});
     campaign.evaluation_s =
         std::max(campaign.evaluation_s,
                  std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());

@@ -47,8 +47,9 @@ SheetRecord judged_sheet(const Sheet& sheet, const Estimate& summary, const std:
                          const BrakeParameters& nominal) {
   const SystematicMisfit misfit = systematic_misfit(runs, summary);
   const bool is_marked = misfit.counts(summary.covariance_normalised.diagonal().cwiseSqrt());
-  const Posterior posterior =
+  Posterior posterior =
       is_marked ? posterior_of(summary, misfit.covariance_normalised) : posterior_of(summary);
+  posterior.contact = contact_point(runs, summary);
   return {sheet.file, sheet.revision, sheet.sha256, is_marked,
           judge_sheet(sheet.characteristics, evaluate(sheet.characteristics, posterior, nominal),
                       LimitSet{}.guard_band_k)};

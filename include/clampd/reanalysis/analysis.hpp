@@ -43,6 +43,7 @@ struct ArchivedCheck {
   /// Deviations of the tare's means; nothing: the sensors were not tared.
   std::optional<double> tare_force_sd_N;
   std::optional<double> tare_velocity_sd_rad_s;
+  std::optional<double> found_rad;  ///< as the record has it
   std::vector<ArchivedRun> runs;
 };
 

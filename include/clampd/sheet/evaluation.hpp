@@ -1,9 +1,11 @@
 #pragma once
 
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "clampd/identify/contact_point.hpp"
 #include "clampd/identify/estimate.hpp"
 #include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/sheet/sheet.hpp"
@@ -16,7 +18,12 @@ struct Posterior {
   /// Of theta / theta_nom: what the identification reports, and all that is added to it (tare, misfit). NaN
   /// where it is not known, zero of a parameter that was held.
   ParameterMatrix covariance_normalised = ParameterMatrix::Zero();
-  std::string unknown;  ///< why nothing is known; empty: something is
+  std::string unknown = {};  ///< why nothing is known; empty: something is
+  ContactPoint contact = {};
+  /// Of theta / theta_nom with the contact point's own error: what the tare does to both.
+  ParameterVector covariance_with_contact = ParameterVector::Zero();
+  /// The encoder's reading when the check found the brake; nothing: it is not known.
+  std::optional<double> found_rad = {};
 };
 
 /// Of an estimate; `added_normalised` counts beside its own covariance. Nothing is known without
@@ -41,7 +48,8 @@ struct CharacteristicEstimate {
 /// deviation from the second-order terms of the pairs of points one standard deviation to either side along
 /// the principal axes of what the kind needs (Julier and Uhlmann's sigma points, in central differences:
 /// Norgaard, Poulsen and Ravn, New developments in state estimation for nonlinear systems, 2000). Nothing is
-/// drawn: the same posterior gives the same sheet. The 95 % interval is the value ± 1.96 sd.
+/// drawn: the same posterior gives the same sheet. The 95 % interval is the value ± 1.96 sd. The contact point is
+/// nearly linear in the parameters: by its derivatives.
 std::vector<CharacteristicEstimate> evaluate(std::span<const Characteristic> characteristics,
                                              const Posterior& posterior, const BrakeParameters& nominal);
 

@@ -32,7 +32,8 @@ struct CircumstanceInfo {
   bool required;
 };
 
-/// A figure that a requirement sheet asks of a brake, in closed form or by simulation.
+/// A figure that a requirement sheet asks of a brake, in closed form or by simulation, or as its
+/// encoder reads it.
 struct CharacteristicKind {
   std::string_view name;  ///< as in the file
   std::string_view unit;
@@ -42,9 +43,11 @@ struct CharacteristicKind {
   double least;                  ///< limits beyond these cannot be meant
   double most;
   /// Of a brake with known parameters; nothing: this brake never gets there. `nominal` is the brake that the
-  /// station's control law has been made for.
+  /// station's control law has been made for. nullptr: parameters alone do not tell, it is the contact point as the
+  /// encoder reads it.
   std::optional<double> (*value)(const BrakeParameters& brake, const Circumstances& circumstances,
                                  const BrakeParameters& nominal);
+  bool from_where_found = false;  ///< the contact point less the encoder's reading when the check found the brake
 };
 
 /// THE table of kinds.

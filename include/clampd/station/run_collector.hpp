@@ -37,6 +37,8 @@ class RunCollector {
   /// In the order of the ring. Gives a run with the sample that completes it.
   std::optional<CollectedRun> consume(const Sample& sample);
 
+  /// The encoder's reading in the first sample of the check, before the station has moved anything.
+  std::optional<double> found_rad() const { return found_rad_; }
   const Tare& tare() const { return tare_; }
   std::uint64_t samples() const { return samples_; }
   std::uint64_t samples_lost() const { return samples_lost_; }
@@ -53,6 +55,7 @@ class RunCollector {
   std::uint64_t samples_ = 0;
   std::uint64_t samples_lost_ = 0;
   std::int64_t first_time_ns_ = 0;
+  std::optional<double> found_rad_;
   std::optional<Sample> last_;
   Tare tare_;
   double force_squares_ = 0.0;
