@@ -26,6 +26,7 @@ struct RunContact {
   double information = 0.0;  ///< of dF/dx squared: its inverse variance, were the force's noise 1 N
   double squares_N2 = 0.0;   ///< of what is left of the force readings
   double rows = 0.0;
+  double farthest_rad = 0.0;  ///< the pads were pressed
   Eigen::Vector2d by_stiffness = Eigen::Vector2d::Zero();  ///< d position_rad / d (k1, k2), times information
   double by_offset = 0.0;  ///< by an offset of the force readings, times information
 };
@@ -39,6 +40,7 @@ std::optional<RunContact> contact_of(const Run& run, const PolynomialStiffness& 
       double gradient[PolynomialStiffness::kParameters];
       // Travel from the first row, so that an encoder that stands far from zero loses no digits.
       const double travel_rad = run.position_rad[k] - run.position_rad[0];
+      contact.farthest_rad = std::max(contact.farthest_rad, first_row_rad + travel_rad);
       const ForcePoint force = stiffness.evaluate(first_row_rad + travel_rad, gradient);
       const double residual_N = run.force_N[k] - force.force_N;
       contact.information += force.slope_N_rad * force.slope_N_rad;
@@ -69,6 +71,12 @@ double variance_of_mean_rad2(std::span<const RunContact> contacts, double mean_r
   const double widened =
       statistics::student_t_upper_quantile(0.025, degrees) / statistics::normal_quantile(0.975);
   return widened * widened * scatter_N2 / degrees / information;
+}
+
+/// Of the mean by the rounding of the encoder's steps, which runs of one motion share: their scatter does not show it.
+/// The forces weigh about the upper half of the steps that were passed.
+double rounding_variance_rad2(double step_rad, double farthest_rad) {
+  return step_rad * step_rad / 12.0 / std::max(1.0, 0.5 * farthest_rad / std::max(step_rad, kLastStep_rad));
 }
 
 /// The least by which two successive readings differ; 0 where none do.
@@ -112,16 +120,18 @@ ContactPoint contact_point(std::span<const Run> runs, const Estimate& estimate) 
     sum.position_rad += of_run.information * (of_run.position_rad - contacts[0].position_rad);
     sum.by_stiffness += of_run.by_stiffness;
     sum.by_offset += of_run.by_offset;
+    sum.farthest_rad = std::max(sum.farthest_rad, of_run.farthest_rad);
   }
-  const double step_variance_rad2 = std::pow(smallest_step_rad(runs), 2) / 12.0;  // anywhere within a step
+  const double step_rad = smallest_step_rad(runs);
   ContactPoint contact;
   contact.position_rad = contacts[0].position_rad + sum.position_rad / sum.information;
-  contact.variance_rad2 = variance_of_mean_rad2(contacts, contact.position_rad) + step_variance_rad2;
+  contact.variance_rad2 = variance_of_mean_rad2(contacts, contact.position_rad) +
+                          rounding_variance_rad2(step_rad, sum.farthest_rad);
   contact.by_parameters.head<2>() =
       sum.by_stiffness.cwiseProduct(nominal_parameters().head<2>()) / sum.information;
   contact.by_force_offset = sum.by_offset / sum.information;
   contact.reading_sd_rad =
-      std::max(identify::position_noise_without_model(runs), std::sqrt(step_variance_rad2));
+      std::max(identify::position_noise_without_model(runs), step_rad / std::sqrt(12.0));
   contact.why.clear();
   return contact;
 }

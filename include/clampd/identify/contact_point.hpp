@@ -25,8 +25,8 @@ struct ContactPoint {
 /// tell of it. Torque, velocity and friction have no part in it, so that their errors have none either.
 ///
 /// Its own error is taken from the scatter of the runs, so that a contact point that moves from run to run counts,
-/// wider as Student's 95 % interval asks for; of a single run, from what is left of its force readings. The smallest
-/// step between readings counts too: nobody knows whether the encoder rounds or cuts off.
+/// wider as Student's 95 % interval asks for; of a single run, from what is left of its force readings. What the runs
+/// share of the encoder's rounding counts beside it.
 ///
 /// Not known: a run without position readings, an estimate without k1 or k2, no run that presses the pads.
 ContactPoint contact_point(std::span<const Run> runs, const Estimate& estimate);
