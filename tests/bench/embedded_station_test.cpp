@@ -6,6 +6,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -38,6 +39,64 @@ TEST(EmbeddedStation, TwentyRepeatsWithinThirtySecondsOfBenchTime) {
   EXPECT_EQ(record.timing.lost_samples, 0U);
   EXPECT_GT(record.timing.bus_load, 0.3);
   EXPECT_LT(record.timing.bus_load, 0.5);
+}
+
+/// Of a brake whose encoder reads so much at contact, found so far open.
+CheckRecord check_of_clearance(double encoder_zero_rad, double clearance_rad, double force_offset_N) {
+  PreparedStation station = prepared();
+  station.configuration.check.diagnose = false;  // which a FAIL would ask for, and which is not what is tested
+  station.sheet = parse_sheet(R"(revision = "1"
+[[characteristic]]
+kind = "contact-point"
+unit = "rad"
+[[characteristic]]
+kind = "clearance"
+unit = "rad"
+lower = 4
+upper = 8
+)",
+                              "sheet.toml")
+                      .value();
+  sim::PlantConfiguration brake = plant(1);
+  brake.encoder_zero_rad = encoder_zero_rad;
+  brake.clearance_rad = clearance_rad;
+  brake.sensors.force_offset_N = force_offset_N;
+  return EmbeddedStation(std::move(station), brake).run_check(request(6), nullptr, nullptr).value();
+}
+
+TEST(EmbeddedStation, TellsWhereThePadsTouchAndHowFarOpenItFoundTheBrake) {
+  for (const auto& [zero_rad, clearance_rad, offset_N] :
+       {std::tuple{17.3, 6.0, 35.0}, {-203.4, 4.5, -300.0}, {440.0, 25.0, 0.0}, {17.3, -20.0, 35.0}}) {
+    SCOPED_TRACE(fmt::format("contact at {}, found {} rad open", zero_rad, clearance_rad));
+    const CheckRecord record = check_of_clearance(zero_rad, clearance_rad, offset_N);
+    ASSERT_TRUE(record.found_rad);
+    EXPECT_NEAR(*record.found_rad, zero_rad - clearance_rad, 1e-3) << "before anything moved";
+    ASSERT_TRUE(record.sheet);
+    ASSERT_EQ(record.sheet->characteristics.size(), 2U) << record.reason;
+    const CharacteristicRecord &contact = record.sheet->characteristics[0], &open = record.sheet->characteristics[1];
+    EXPECT_NEAR(contact.value, zero_rad, 4.0 * contact.sd);
+    EXPECT_LT(contact.sd, 0.05);
+    EXPECT_FALSE(contact.verdict);
+    EXPECT_NEAR(open.value, clearance_rad, 4.0 * open.sd);
+    const bool is_within = clearance_rad > 4.0 && clearance_rad < 8.0;
+    EXPECT_EQ(open.verdict, is_within ? ParameterVerdict::Pass : ParameterVerdict::Fail);
+    EXPECT_EQ(record.verdict, is_within ? Verdict::Pass : Verdict::Fail) << record.reason;
+  }
+}
+
+TEST(EmbeddedStation, GoesOnWhileTheClearanceIsInDoubt) {
+  PreparedStation station = prepared();
+  station.configuration.check.repeats_most = 8;
+  station.sheet =
+      parse_sheet("revision = \"1\"\n[[characteristic]]\nkind = \"clearance\"\nunit = \"rad\"\nlower = 6\n",
+                  "sheet.toml")
+          .value();
+  CheckRequest asked = request(0);
+  asked.repeats_auto = true;
+  const CheckRecord record = EmbeddedStation(std::move(station), plant(1)).run_check(asked, nullptr, nullptr).value();
+  EXPECT_EQ(record.runs.size(), 8U) << "it stands where its limit is";
+  EXPECT_THAT(record.stopping.value().reason, HasSubstr("clearance in doubt"));
+  EXPECT_TRUE(record.marginal);
 }
 
 TEST(EmbeddedStation, StandsByWithTheDriveOff) {

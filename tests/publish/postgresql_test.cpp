@@ -47,6 +47,7 @@ TEST_F(Postgresql, KeepsEveryCheckOnceAndInOrder) {
   odd.sheet = support::make_sheet_record();
   odd.recipe = RecipeRecord{"recipes/p-17.toml", "3", std::string(64, 'd')};
   odd.stopping = StoppingRecord{21, 2.609, "every limit decided after 4 runs"};
+  odd.found_rad = 1e4 + 0.125;
   odd.stopped.clear();
   station.save_up_to(3);
   station.start(make_postgresql_channel(settings()));
@@ -72,6 +73,8 @@ TEST_F(Postgresql, KeepsEveryCheckOnceAndInOrder) {
   EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks WHERE sheet IS NULL"), "20");
   EXPECT_EQ(server->ask("SELECT recipe->>'version'" + where), "3");
   EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks WHERE recipe IS NULL"), "20");
+  EXPECT_EQ(server->ask("SELECT found_rad" + where), "10000.125");
+  EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks WHERE found_rad IS NULL"), "20");
   EXPECT_EQ(server->ask("SELECT stopping->>'coverage_factor'" + where), "2.609");
   EXPECT_EQ(server->ask("SELECT count(*) FROM clampd.checks WHERE stopping = 'null'"), "20")
       << "a fixed number, and not unknown";

@@ -113,7 +113,7 @@ TEST_F(ArchiveJudging, OfAnUnchangedTaskIsThatOfTheStation) {
       EXPECT_EQ(again["circumstances"], line.circumstances);
       EXPECT_EQ(again["value"], line.value) << line.name;
       EXPECT_NEAR(again["sd"], line.sd, 1e-12 * line.sd) << line.name;
-      EXPECT_EQ(again["verdict"], to_string(line.verdict.value())) << line.name;
+      EXPECT_EQ(again["verdict"], line.verdict ? json(to_string(*line.verdict)) : json(nullptr)) << line.name;
     }
   }
   EXPECT_EQ(automatic_checks()[0].verdict, Verdict::Pass);
@@ -209,6 +209,23 @@ TEST_F(ArchiveJudging, SaysWhereGuardBandsAreNotThoseOfTheRecord) {
   EXPECT_EQ(documents[1]["stopping"]["rule"], "not on record");
   EXPECT_EQ(compared().other_guard_bands, 1);
   EXPECT_EQ(compared().unknown_stopping, 1);
+}
+
+TEST_F(ArchiveJudging, KnowsNoClearanceWhereTheRecordDoesNotSayWhereTheBrakeWasFound) {
+  publish(automatic_checks());
+  ask("UPDATE clampd.checks SET found_rad = NULL WHERE serial = 'AUTO-0002'");
+  Task limited = task();
+  limited.sheet = parse_sheet("revision = \"1\"\n[[characteristic]]\nkind = \"clearance\"\nunit = \"rad\"\nupper = 9\n",
+                              "sheet.toml")
+                      .value();
+  const std::vector<json> documents = judged(limited);
+  const json& known = documents[0]["sheet"]["characteristics"][0];
+  EXPECT_NEAR(known["value"], 6.0, 4.0 * known["sd"].get<double>()) << "of the simulated brake";
+  EXPECT_EQ(known["verdict"], "pass");
+  const json& unknown = documents[1]["sheet"]["characteristics"][0];
+  EXPECT_TRUE(unknown["value"].is_null());
+  EXPECT_THAT(unknown["why"].get<std::string>(), HasSubstr("where the check found the brake is not on record"));
+  EXPECT_EQ(documents[1]["verdict"], "ERROR");
 }
 
 TEST_F(ArchiveJudging, RefusesASheetThatItCannotTell) {

@@ -229,7 +229,7 @@ TEST_F(ArchivePrograms, AJobWithASheetAndOneWithAnotherLimitInIt) {
   ASSERT_EQ(clampctl("submit --serial EMB-0001 --sheet " + stricter).exit_code, 0);
   EXPECT_EQ(worker_until_empty().exit_code, 0);
   const auto results = nlohmann::json::parse(clampctl("results 1 --json").output)["results"];
-  EXPECT_EQ(results[0]["result"]["sheet"]["characteristics"].size(), 9U);
+  EXPECT_EQ(results[0]["result"]["sheet"]["characteristics"].size(), 11U);
   EXPECT_THAT(clampctl("compare 2 --with 1").output,
               HasSubstr("EMB-0001         hysteresis at force_N 15000, speed_rad_s 20: pass -> fail\n"));
   const auto comparison = nlohmann::json::parse(clampctl("compare 2 --with 1 --json").output);

@@ -37,6 +37,28 @@ Posterior good_posterior() {
   return posterior;
 }
 
+/// Those that the parameters alone tell.
+std::vector<CharacteristicKind> kinds_of_parameters() {
+  std::vector<CharacteristicKind> kinds;
+  for (const CharacteristicKind& kind : characteristic_kinds())
+    if (kind.value != nullptr) kinds.push_back(kind);
+  return kinds;
+}
+
+/// Of a brake whose encoder has its zero far away, with a contact point that is known to a few milliradians, and that
+/// was found 6 rad open.
+Posterior posterior_with_contact() {
+  Posterior posterior = good_posterior();
+  posterior.contact.position_rad = 1e4;
+  posterior.contact.variance_rad2 = 9e-6;
+  posterior.contact.by_parameters[k1] = -2.0;
+  posterior.contact.by_parameters[k2] = 6.0;
+  posterior.contact.reading_sd_rad = 0.004;
+  posterior.contact.why.clear();
+  posterior.found_rad = 1e4 - 6.0;
+  return posterior;
+}
+
 CharacteristicEstimate evaluate_one(std::string_view kind, const Circumstances& at,
                                     const Posterior& posterior) {
   const Characteristic lines[] = {line(kind, at)};
@@ -106,7 +128,7 @@ TEST(SheetEvaluation, AgreesWithDrawsFromThePosterior) {
   std::mt19937_64 random(7);
   std::normal_distribution<double> normal;
   constexpr int kDraws = 2000;
-  for (const CharacteristicKind& kind : characteristic_kinds()) {
+  for (const CharacteristicKind& kind : kinds_of_parameters()) {
     const CharacteristicEstimate estimate = evaluate_one(kind.name, kAt, posterior);
     ASSERT_EQ(estimate.state, State::Known) << kind.name;
     double sum = 0.0, squares = 0.0;
@@ -126,7 +148,7 @@ TEST(SheetEvaluation, AgreesWithDrawsFromThePosterior) {
 }
 
 TEST(SheetEvaluation, IsTheSameAgain) {
-  for (const CharacteristicKind& kind : characteristic_kinds()) {
+  for (const CharacteristicKind& kind : kinds_of_parameters()) {
     const CharacteristicEstimate once = evaluate_one(kind.name, kAt, good_posterior());
     const CharacteristicEstimate again = evaluate_one(kind.name, kAt, good_posterior());
     EXPECT_EQ(once.value, again.value);
@@ -140,7 +162,7 @@ TEST(SheetEvaluation, WhatNeedsAnUnknownParameterIsNotKnown) {
   posterior.parameters.theta[Tv] = kNaN;
   posterior.covariance_normalised.row(Tv).setConstant(kNaN);
   posterior.covariance_normalised.col(Tv).setConstant(kNaN);
-  for (const CharacteristicKind& kind : characteristic_kinds()) {
+  for (const CharacteristicKind& kind : kinds_of_parameters()) {
     const bool needs = std::find(kind.needs.begin(), kind.needs.end(), Tv) != kind.needs.end();
     const CharacteristicEstimate estimate = evaluate_one(kind.name, kAt, posterior);
     EXPECT_EQ(estimate.state, needs ? State::Unknown : State::Known) << kind.name;
@@ -165,7 +187,7 @@ TEST(SheetEvaluation, WhatNeedsAHeldParameterIsNotKnownEither) {
 
 // Every value is what it is by those parameters alone that the table names.
 TEST(SheetEvaluation, KindsNeedWhatTheyNeed) {
-  for (const CharacteristicKind& kind : characteristic_kinds())
+  for (const CharacteristicKind& kind : kinds_of_parameters())
     for (std::size_t i = 0; i < kParameterCount; ++i) {
       BrakeParameters other;
       other.theta[static_cast<Eigen::Index>(i)] *= 1.05;
@@ -207,6 +229,51 @@ TEST(SheetEvaluation, WhatIsAddedToTheCovarianceCounts) {
   const double after =
       evaluate_one("apply-time", kAt, posterior_of(estimate, 3.0 * estimate.covariance_normalised)).sd;
   EXPECT_NEAR(after / before, 2.0, 0.1);
+}
+
+TEST(SheetContact, IsTheEncodersReadingWithBothOfItsErrors) {
+  const Posterior posterior = posterior_with_contact();
+  const CharacteristicEstimate contact = evaluate_one("contact-point", {}, posterior);
+  ASSERT_EQ(contact.state, State::Known) << contact.why;
+  EXPECT_EQ(contact.value, 1e4);
+  const double by_parameters = 4e-4 * (4.0 + 36.0) - 2.0 * 3.9e-4 * 12.0;
+  EXPECT_NEAR(contact.sd, std::sqrt(by_parameters + 9e-6), 1e-12);
+  // A tare that moves both: what it does to the contact point alone is 0.1 rad of its deviation.
+  Posterior tared = posterior;
+  tared.covariance_normalised(k2, k2) += 1e-4;
+  tared.contact.variance_rad2 += 0.01;
+  tared.covariance_with_contact[k2] = 0.01 * 0.1;
+  EXPECT_NEAR(evaluate_one("contact-point", {}, tared).sd,
+              std::sqrt(by_parameters + 9e-6 + std::pow(6.0 * 0.01 + 0.1, 2)), 1e-12);
+}
+
+TEST(SheetContact, ClearanceCountsFromWhereTheCheckFoundTheBrake) {
+  Posterior posterior = posterior_with_contact();
+  const CharacteristicEstimate open = evaluate_one("clearance", {}, posterior);
+  ASSERT_EQ(open.state, State::Known) << open.why;
+  EXPECT_NEAR(open.value, 6.0, 1e-9);
+  EXPECT_NEAR(open.sd, std::hypot(evaluate_one("contact-point", {}, posterior).sd, 0.004), 1e-12);
+  posterior.found_rad = 1e4 + 20.0;
+  EXPECT_NEAR(evaluate_one("clearance", {}, posterior).value, -20.0, 1e-9) << "it was clamped";
+}
+
+TEST(SheetContact, SaysWhyItIsNotKnown) {
+  EXPECT_THAT(evaluate_one("contact-point", {}, good_posterior()).why, HasSubstr("no runs"));
+  Posterior posterior = posterior_with_contact();
+  posterior.found_rad.reset();
+  EXPECT_EQ(evaluate_one("contact-point", {}, posterior).state, State::Known);
+  const CharacteristicEstimate clearance = evaluate_one("clearance", {}, posterior);
+  EXPECT_EQ(clearance.state, State::Unknown);
+  EXPECT_TRUE(std::isnan(clearance.value) && std::isnan(clearance.sd));
+  EXPECT_THAT(clearance.why, HasSubstr("let a station check it"));
+  posterior = posterior_with_contact();
+  posterior.contact.why = "repeat 1 has no position readings";
+  for (const char* kind : {"contact-point", "clearance"})
+    EXPECT_EQ(evaluate_one(kind, {}, posterior).why, "repeat 1 has no position readings");
+  posterior = posterior_with_contact();
+  posterior.covariance_normalised.row(k1).setZero();
+  posterior.covariance_normalised.col(k1).setZero();
+  EXPECT_THAT(evaluate_one("clearance", {}, posterior).why, HasSubstr("k1, which was held"));
 }
 
 }  // namespace

@@ -33,8 +33,8 @@ constexpr double kGuardBand = 2.0;
 /// station leaves them, some anywhere, clamped ones too.
 void draw_place(Draws& draws, sim::PlantConfiguration& plant) {
   plant.encoder_zero_rad = 1e4 + draws.uniform(-1.0, 1.0);
-  plant.sensors.position_noise_rad = draws.log_uniform(1e-4, 1e-2);
-  plant.sensors.position_quantum_rad = draws.log_uniform(1e-4, 5e-2);
+  plant.sensors.position_noise_rad = draws.log_uniform(1e-4, 5e-3);
+  plant.sensors.position_quantum_rad = draws.log_uniform(1e-4, 2e-2);
   const bool is_anywhere = draws.uniform(0.0, 1.0) < 0.2;
   plant.clearance_rad = is_anywhere ? draws.uniform(-25.0, 25.0) : draws.uniform(5.0, 7.0);
 }

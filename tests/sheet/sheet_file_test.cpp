@@ -103,6 +103,46 @@ TEST(SheetFile, IsReadBackFromWhatARecordSaysOfIt) {
     EXPECT_THAT(refused(&CharacteristicRecord::circumstances, odd), HasSubstr("are not those of a holding-margin")) << odd;
 }
 
+TEST(SheetFile, ContactPointAndClearanceHaveNoCircumstances) {
+  const std::string lines = R"(revision = "1"
+[[characteristic]]
+kind = "contact-point"
+unit = "rad"
+lower = 9998.5
+[[characteristic]]
+kind = "clearance"
+unit = "rad"
+lower = 4
+upper = 8
+)";
+  const Result<Sheet> sheet = parse_sheet(lines, "sheet.toml");
+  ASSERT_TRUE(sheet) << sheet.error().message;
+  EXPECT_EQ(sheet->characteristics[0].name, "contact-point");
+  EXPECT_EQ(sheet->characteristics[1].name, "clearance");
+  SheetRecord record{sheet->file, sheet->revision, sheet->sha256, false, {}};
+  for (const Characteristic& line : sheet->characteristics) {
+    CharacteristicRecord& recorded = record.characteristics.emplace_back();
+    recorded.name = line.name;
+    recorded.kind = line.kind->name;
+    recorded.unit = line.kind->unit;
+    recorded.circumstances = circumstances_text(line);
+    EXPECT_EQ(recorded.circumstances, "");
+  }
+  ASSERT_TRUE(sheet_of(record));
+  record.characteristics[1].circumstances = "force_N 20000";
+  EXPECT_THAT(sheet_of(record).error().message, HasSubstr("are not those of a clearance"));
+
+  const auto refused = [&](const std::string& from, const std::string& to) {
+    std::string text = lines;
+    const Result<Sheet> read = parse_sheet(text.replace(text.find(from), from.size(), to), "sheet.toml");
+    return read ? std::string("none") : read.error().message;
+  };
+  EXPECT_THAT(refused("unit = \"rad\"", "unit = \"deg\""), HasSubstr("sheet.toml:4:8: contact-point is in rad, not in deg"));
+  EXPECT_THAT(refused("lower = 4", "lower = 4\nclearance_rad = 6"), HasSubstr("sheet.toml:10:1: unknown key clearance_rad"));
+  EXPECT_THAT(refused("lower = 4", "lower = 4\nforce_N = 20000"), HasSubstr("unknown key force_N"));
+  EXPECT_THAT(refused("upper = 8", "upper = 8000"), HasSubstr("upper = 8000 rad cannot be meant"));
+}
+
 TEST(SheetFile, TheShippedOneIsValid) {
   const Result<Sheet> sheet = read_sheet(std::string(CLAMPD_SOURCE_DIR) + "/configs/sheet.toml");
   ASSERT_TRUE(sheet) << sheet.error().message;

@@ -1,5 +1,6 @@
 #include "clampd/station/run_collector.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 #include <string>
@@ -51,6 +52,25 @@ TEST(RunCollector, CutsTheStreamIntoTaredRunsOnTheBrakesClock) {
   }
   EXPECT_EQ(collector.samples_lost(), 0u);
   EXPECT_NEAR(collector.duration_s(), 1.001e-3 * static_cast<double>(collector.samples() - 1), 1e-9);
+}
+
+TEST(RunCollector, KeepsWhereTheCheckFoundTheBrake) {
+  std::vector<Sample> samples = support::sample_stream({.rows = kRows, .repeats = 1});
+  const auto first = static_cast<std::size_t>(
+      std::find_if(samples.begin(), samples.end(),
+                   [](const Sample& sample) { return sample.phase != CheckPhase::None; }) -
+      samples.begin());
+  samples[first].position_rad = 1e4 + 0.125;
+  RunCollector collector(kRows);
+  collect(collector, {samples.begin(), samples.begin() + static_cast<std::ptrdiff_t>(first)});
+  EXPECT_FALSE(collector.found_rad()) << "what comes before the check is none of it";
+  collect(collector, {samples.begin() + static_cast<std::ptrdiff_t>(first), samples.end()});
+  EXPECT_EQ(collector.found_rad(), 1e4 + 0.125);
+
+  samples[first].position_rad = std::nan("");
+  RunCollector without(kRows);
+  collect(without, samples);
+  EXPECT_FALSE(without.found_rad()) << "a reading that is none, and a later one would be of a brake that moves";
 }
 
 TEST(RunCollector, EstimatesTheNoiseAtRest) {

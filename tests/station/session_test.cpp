@@ -11,6 +11,7 @@
 #include <gtest/gtest.h>
 
 #include "clampd/base/nan.hpp"
+#include "clampd/brake/stiffness.hpp"
 #include "clampd/record/checksum.hpp"
 #include "station/sample_stream.hpp"
 #include "support/eventually.hpp"
@@ -536,6 +537,42 @@ upper = 0.2
   EXPECT_EQ(record.verdict, Verdict::Fail);
   EXPECT_THAT(record.reason,
               HasSubstr("holding-margin at force_N 20000 is 0.2308 N m, above its upper limit 0.2 N m"));
+}
+
+TEST_P(Session, KeepsWhereItFoundTheBrakeAndSaysWhatTheEncoderTells) {
+  context.sheet = *parse_sheet(R"(revision = "7"
+[[characteristic]]
+kind = "contact-point"
+unit = "rad"
+[[characteristic]]
+kind = "clearance"
+unit = "rad"
+lower = 4
+upper = 8
+)",
+                               "sheet.toml");
+  // Pads that are pressed as far as the force says, from an encoder that reads 17.3 rad at contact.
+  const PolynomialStiffness stiffness(nominal_parameters().data());
+  for (Sample& sample : samples)
+    if (sample.trajectory_index >= 0) {
+      const double x = 0.5 * sample.trajectory_index;
+      sample.position_rad = 17.3 + x;
+      sample.force_N = stiffness.force_N(x);
+    }
+  const Estimator estimator = [find = finds(nominal_parameters())](std::span<const clampd::Run> runs,
+                                                                  const EstimatorOptions& options) {
+    Estimate estimate = find(runs, options);
+    estimate.initial_states.assign(runs.size(), Eigen::Vector2d(0.2, 0.0));
+    return estimate;
+  };
+  const CheckRecord record = check(samples, estimator);
+  EXPECT_EQ(record.found_rad, 9.0);
+  ASSERT_TRUE(record.sheet);
+  ASSERT_EQ(record.sheet->characteristics.size(), 2u) << record.reason;
+  EXPECT_NEAR(record.sheet->characteristics[0].value, 17.3, 1e-6);
+  EXPECT_NEAR(record.sheet->characteristics[1].value, 8.3, 1e-6);
+  EXPECT_EQ(record.sheet->characteristics[1].verdict.has_value(), true);
+  EXPECT_EQ(check({}, estimator).found_rad, std::nullopt) << "no sample came";
 }
 
 TEST_P(Session, WithoutAnEstimateTheSheetIsEmpty) {

@@ -122,5 +122,46 @@ upper = 0.1
   EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {}), 1) << "friction at constant speed";
 }
 
+TEST_F(NextTrajectory, CountsWhatTheEncoderTells) {
+  sheet_ = parse_sheet(R"(revision = "1"
+[[characteristic]]
+kind = "contact-point"
+unit = "rad"
+[[characteristic]]
+kind = "clearance"
+unit = "rad"
+)",
+                       "sheet.toml")
+               .value()
+               .characteristics;
+  const Reference reference = shipped("trajectory");
+  for (RunRecord& record : runs_) {
+    for (const ReferenceRow& row : reference.rows) {
+      record.run.time_s.push_back(1e-3 * static_cast<double>(record.run.size()));
+      record.run.torque_Nm.push_back(row.torque_Nm);
+      record.run.velocity_rad_s.push_back(row.velocity_rad_s);
+      record.run.force_N.push_back(row.force_N);
+      record.run.position_rad.push_back(17.3 + row.position_rad);
+    }
+    joint_.initial_states.emplace_back(reference.rows.front().position_rad, 0.0);
+  }
+  // They depend on k1 and k2, as what asks for the check's own trajectory.
+  ASSERT_EQ(asked({"k1"}), 0);
+  for (const std::size_t line : {0u, 1u}) {
+    Judgement judgement = good();
+    judgement.characteristics.resize(2);
+    judgement.characteristics[line].verdict = ParameterVerdict::Marginal;
+    EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {}), 0);
+    judgement.parameters[0].verdict = ParameterVerdict::Marginal;
+    EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {}), 1)
+        << "friction is in doubt too, and that it tells nothing of the encoder is no reason against a run for it";
+  }
+  for (RunRecord& record : runs_) record.run.position_rad.clear();
+  Judgement judgement = good();
+  judgement.characteristics.resize(2);
+  judgement.characteristics[0].verdict = ParameterVerdict::Marginal;
+  EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {}), 0) << "nothing is known of it";
+}
+
 }  // namespace
 }  // namespace clampd

@@ -265,12 +265,16 @@ TEST_F(CommandLine, TellsWhatASheetAsksForFromRunsOnDisk) {
   EXPECT_EQ(identified.exit_code, 0) << identified.output;
   EXPECT_THAT(identified.output, HasSubstr("holding-margin at force_N 20000"));
   const auto sheet = nlohmann::json::parse(read("fit.json")).at("sheet");
-  ASSERT_EQ(sheet.size(), 9u);
-  for (const auto& line : sheet) {
-    EXPECT_EQ(line.at("verdict"), "pass") << line;
-    EXPECT_GT(line.at("sd"), 0.0);
-    EXPECT_FALSE(line.at("misfit_marked"));
+  ASSERT_EQ(sheet.size(), 11u);
+  for (std::size_t i = 0; i < 9; ++i) {
+    EXPECT_EQ(sheet[i].at("verdict"), "pass") << sheet[i];
+    EXPECT_GT(sheet[i].at("sd"), 0.0);
+    EXPECT_FALSE(sheet[i].at("misfit_marked"));
   }
+  EXPECT_EQ(sheet[9].at("kind"), "contact-point");
+  EXPECT_NEAR(sheet[9].at("value"), 0.0, 4.0 * sheet[9].at("sd").get<double>()) << "simulated runs count from there";
+  EXPECT_TRUE(sheet[10].at("value").is_null());
+  EXPECT_THAT(sheet[10].at("why").get<std::string>(), HasSubstr("where the check found the brake is not on record"));
   EXPECT_EQ(sheet[6].at("kind"), "holding-margin");
   EXPECT_NEAR(sheet[6].at("value"), 0.2308, 4.0 * sheet[6].at("sd").get<double>()) << "of the nominal brake";
   // Without one the document is as it was.
