@@ -161,7 +161,7 @@ TEST_F(Postgresql, StationsShareADatabaseAndLaterOnesNeedFewRights) {
   other.start(make_postgresql_channel(settings()));
   ASSERT_TRUE(eventually([&] { return station.pending() == 0 && other.status().connected; }))
       << other.status().error;
-  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "6");
+  EXPECT_EQ(server->ask("SELECT max(version) FROM clampd.migrations"), "7");
   other.stop();
   server->column("CREATE ROLE bench LOGIN");
   PostgresqlSettings poor = settings();
