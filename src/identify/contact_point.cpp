@@ -26,13 +26,14 @@ struct RunContact {
   double information = 0.0;  ///< of dF/dx squared: its inverse variance, were the force's noise 1 N
   double squares_N2 = 0.0;   ///< of what is left of the force readings
   double rows = 0.0;
-  double farthest_rad = 0.0;  ///< the pads were pressed
+  double farthest_rad = 0.0;                               ///< the pads were pressed
   Eigen::Vector2d by_stiffness = Eigen::Vector2d::Zero();  ///< d position_rad / d (k1, k2), times information
   double by_offset = 0.0;  ///< by an offset of the force readings, times information
 };
 
 /// By Gauss and Newton from where the estimate has the run's first row; nothing where that leads nowhere.
-std::optional<RunContact> contact_of(const Run& run, const PolynomialStiffness& stiffness, double first_row_rad) {
+std::optional<RunContact> contact_of(const Run& run, const PolynomialStiffness& stiffness,
+                                     double first_row_rad) {
   for (int step = 0; step < kMostSteps; ++step) {
     RunContact contact{.rows = static_cast<double>(run.size())};
     double score = 0.0;
@@ -73,8 +74,8 @@ double variance_of_mean_rad2(std::span<const RunContact> contacts, double mean_r
   return widened * widened * scatter_N2 / degrees / information;
 }
 
-/// Of the mean by the rounding of the encoder's steps, which runs of one motion share: their scatter does not show it.
-/// The forces weigh about the upper half of the steps that were passed.
+/// Of the mean by the rounding of the encoder's steps, which runs of one motion share: their scatter does not
+/// show it. The forces weigh about the upper half of the steps that were passed.
 double rounding_variance_rad2(double step_rad, double farthest_rad) {
   return step_rad * step_rad / 12.0 / std::max(1.0, 0.5 * farthest_rad / std::max(step_rad, kLastStep_rad));
 }
@@ -103,7 +104,8 @@ ContactPoint contact_point(std::span<const Run> runs, const Estimate& estimate) 
   for (const Run& run : runs)
     if (run.position_rad.size() != run.size() || run.size() == 0)
       return not_known(fmt::format(
-          "{} has no position readings: record those of the motor's encoder as column position_rad", run.name));
+          "{} has no position readings: record those of the motor's encoder as column position_rad",
+          run.name));
   const Eigen::Vector2d stiffness = estimate.parameters.theta.head<2>();
   if (!stiffness.allFinite() || estimate.initial_states.size() != runs.size())
     return not_known("there is no estimate of k1 and k2 to find it by");
@@ -130,8 +132,7 @@ ContactPoint contact_point(std::span<const Run> runs, const Estimate& estimate) 
   contact.by_parameters.head<2>() =
       sum.by_stiffness.cwiseProduct(nominal_parameters().head<2>()) / sum.information;
   contact.by_force_offset = sum.by_offset / sum.information;
-  contact.reading_sd_rad =
-      std::max(identify::position_noise_without_model(runs), step_rad / std::sqrt(12.0));
+  contact.reading_sd_rad = std::max(identify::position_noise_without_model(runs), step_rad / std::sqrt(12.0));
   contact.why.clear();
   return contact;
 }

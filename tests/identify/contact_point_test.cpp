@@ -18,12 +18,13 @@ constexpr double kPressed_rad = 27.0;
 
 struct Encoder {
   double contact_rad = 17.3;
-  double step_rad = 0.0;   ///< of its readings; 0: none
+  double step_rad = 0.0;  ///< of its readings; 0: none
   double noise_rad = 0.0;
 };
 
 /// From the clearance to 27 rad beyond contact and back; the force of a brake with these parameters.
-Run pressed(const Encoder& encoder, double force_noise_N, std::mt19937_64& random, const BrakeParameters& brake = {}) {
+Run pressed(const Encoder& encoder, double force_noise_N, std::mt19937_64& random,
+            const BrakeParameters& brake = {}) {
   const PolynomialStiffness stiffness(brake.theta.data());
   std::normal_distribution<double> normal;
   const double begin_rad = -3.0 + 0.05 * normal(random);
@@ -79,7 +80,7 @@ TEST(ContactPoint, IsWhereTheForceBegins) {
   std::mt19937_64 random(1);
   for (const double contact_rad : {0.0, 17.3, -203.0, 1e4}) {
     const clampd::Run runs[]{pressed({.contact_rad = contact_rad}, 0.0, random),
-                     pressed({.contact_rad = contact_rad}, 0.0, random)};
+                             pressed({.contact_rad = contact_rad}, 0.0, random)};
     const ContactPoint contact = contact_point(runs, nominal_estimate(2));
     EXPECT_EQ(contact.why, "");
     EXPECT_NEAR(contact.position_rad, contact_rad, 1e-8) << "the readings have a smallest step of their own";
@@ -151,7 +152,8 @@ TEST(ContactPoint, WeighsRunsByWhatTheyTell) {
   runs.push_back(open);
   Estimate estimate = nominal_estimate(3);
   estimate.initial_states[2][0] = -42.6;
-  EXPECT_EQ(contact_point(runs, estimate).position_rad, alone_rad) << "in the clearance there is nothing to see";
+  EXPECT_EQ(contact_point(runs, estimate).position_rad, alone_rad)
+      << "in the clearance there is nothing to see";
 }
 
 TEST(ContactPoint, SaysWhyItIsNotKnown) {

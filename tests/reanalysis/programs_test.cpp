@@ -282,10 +282,10 @@ TEST_F(ArchivePrograms, SayWhatIsWrong) {
   said = support::run_command(fmt::format("{} --config {} --until-empty", CLAMPD_WORKER, empty));
   EXPECT_EQ(said.exit_code, 2);
   EXPECT_THAT(said.output, HasSubstr("no [postgresql] host"));
-  ask("INSERT INTO clampd.migrations (version) VALUES (7)");
+  ask("INSERT INTO clampd.migrations (version) VALUES (8)");
   said = worker_until_empty();
   EXPECT_EQ(said.exit_code, 2);
-  EXPECT_THAT(said.output, HasSubstr("newer than the 6"));
+  EXPECT_THAT(said.output, HasSubstr("newer than the 7"));
 }
 
 }  // namespace
