@@ -64,7 +64,9 @@ inline constexpr Policy kPolicy{{
      "fault."},
     {FaultCause::FeedbackImplausible, "implausible_tolerated, plausible_*", FaultSeverity::Alarm,
      FaultScope::Ready, Verdict::Error, ClearCondition::WhenGone,
-     "The brake reports values that are physically impossible. Check its sensors and their connectors."},
+     "The brake reports values that are physically impossible, or stand at the end of a signal's range. "
+     "Check its "
+     "sensors and their connectors."},
     {FaultCause::BusOff, "", FaultSeverity::Alarm, FaultScope::Ready, Verdict::Error,
      ClearCondition::WhenGone,
      "The CAN controller left the bus. Check wiring, termination and bit rate, then clear the fault."},

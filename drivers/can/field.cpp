@@ -141,4 +141,10 @@ bool Field::plausible(double value) const noexcept {
   return std::isfinite(value) && value >= minimum_ - slack && value <= maximum_ + slack;
 }
 
+bool Field::saturated(double value) const noexcept {
+  const double slack = 0.5 * step();
+  return (value <= minimum_ + slack && std::abs(minimum_) > slack) ||
+         (value >= maximum_ - slack && std::abs(maximum_) > slack);
+}
+
 }  // namespace clampd::can

@@ -30,6 +30,9 @@ class Field {
   CLAMPD_REALTIME void encode(Frame& frame, double value) const noexcept;
   /// Finite and within the DBC's range, where it states one.
   CLAMPD_REALTIME bool plausible(double value) const noexcept;
+  /// Whether the value is the least or the most that the signal can tell, other than zero: what it tells of
+  /// may be anything beyond.
+  CLAMPD_REALTIME bool saturated(double value) const noexcept;
   std::uint64_t largest_raw() const noexcept { return mask_; }
   double scale() const noexcept { return scale_; }
   /// Between neighbouring values, in SI units; 0 of a float.

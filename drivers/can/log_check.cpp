@@ -84,6 +84,7 @@ void take(Watched& watched, const LoggedFrame& logged) {
         ++seen.implausible;
         continue;
       }
+      seen.saturated += field.saturated(value) ? 1 : 0;
       seen.least = std::min(seen.least, value);
       seen.most = std::max(seen.most, value);
     }
@@ -181,12 +182,20 @@ void judge_content(const FrameFinding& f, const FrameLayout& layout, const std::
     finding.notes.push_back(
         fmt::format("{}: its counter jumps {} times; frames were lost, or the recording has gaps", name,
                     f.counter_jumps));
-  for (const SignalFinding& signal : f.signals)
+  for (const SignalFinding& signal : f.signals) {
     if (signal.implausible > 0)
       problem(fmt::format(
           "{} is outside of the DBC file's range in {} frames, which the station refuses: correct its "
           "range, scale, offset or byte order there if the brake is right",
           signal.name, signal.implausible));
+    const bool measured = signal.name == "force" || signal.name == "velocity" || signal.name == "torque";
+    if (f.from_brake && measured && signal.saturated > 0)
+      problem(fmt::format(
+          "{} stands at the end of the DBC file's range in {} frames, which the station refuses, since the "
+          "true value may lie beyond: adjust the sensor, or correct the range there if the brake can tell "
+          "more",
+          signal.name, signal.saturated));
+  }
 }
 
 void judge_absent(const FrameFinding& f, const FrameLayout& layout, const std::string& name,
@@ -220,7 +229,7 @@ void judge_frame(const FrameFinding& f, const FrameLayout& layout, double cycle_
   } else if (std::abs(f.spacing->median_ms - cycle_ms) > kPeriodTolerance * cycle_ms) {
     finding.problems.push_back(fmt::format(
         "{}: comes every {:.2f} ms; the station needs a sample every {:g} ms: have the brake send it so "
-        "often ([can] feedback_cycle_ms takes 1, 0.5, 0.25 and 0.2)",
+        "often ([can] feedback_cycle_ms takes 5, 2, 1, 0.5, 0.25 and 0.2)",
         name, f.spacing->median_ms, cycle_ms));
   }
 }

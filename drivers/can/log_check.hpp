@@ -28,6 +28,7 @@ struct SignalFinding {
   double least = std::numeric_limits<double>::infinity();
   double most = -std::numeric_limits<double>::infinity();
   std::size_t implausible = 0;  ///< outside of the DBC file's range
+  std::size_t saturated = 0;    ///< at an end of it that is not zero
 };
 
 /// One frame of the mapping, as the log has it. Of the frames that are intact: counter and signals.

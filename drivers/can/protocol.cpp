@@ -68,8 +68,12 @@ bool StationProtocol::plausible(std::size_t index, const Frame& frame) const noe
   const auto good = [&](const FeedbackField& part) {
     return !part.present || part.frame != index || part.field.plausible(part.field.decode(frame));
   };
-  return good(codec_.force) && good(codec_.velocity) && good(codec_.torque) && good(codec_.position) &&
-         good(codec_.enabled) && good(codec_.watchdog) && good(codec_.fault);
+  // A reading at the end of its range may be anything beyond: a tare of it is none, and a motion goes unseen.
+  const auto measured = [&](const FeedbackField& part) {
+    return good(part) && (part.frame != index || !part.field.saturated(part.field.decode(frame)));
+  };
+  return measured(codec_.force) && measured(codec_.velocity) && measured(codec_.torque) &&
+         good(codec_.position) && good(codec_.enabled) && good(codec_.watchdog) && good(codec_.fault);
 }
 
 std::optional<BrakeFeedback> StationProtocol::accept(const Frame& frame, std::int64_t arrival_ns) noexcept {

@@ -50,7 +50,9 @@ struct ProtocolCounts {
   std::uint64_t counter_errors = 0;
   std::uint64_t lost_samples =
       0;  ///< samples the brake took and the station never completed (station's end only)
-  std::uint64_t implausible = 0;  ///< frames refused: a value outside of its DBC range
+  /// Frames refused: a value outside of its DBC range, or force, velocity or torque at an end of it other
+  /// than zero.
+  std::uint64_t implausible = 0;
 };
 
 /// The station's end: commands out, samples in.

@@ -282,6 +282,23 @@ TEST_F(Protocol, ImpossibleValuesAreRefusedUnderAValidCrc) {
   EXPECT_EQ(station_.counts().crc_errors, 0U);
 }
 
+TEST_F(Protocol, ReadingsThatTheirSignalCannotTellAreRefused) {
+  const auto accepts = [&](double BrakeFeedback::*reading, double value) {
+    reading_ = {};
+    reading_.*reading = value;
+    return deliver(next_sample()).has_value();
+  };
+  EXPECT_TRUE(accepts(&BrakeFeedback::force_N, 0.0));
+  EXPECT_TRUE(accepts(&BrakeFeedback::force_N, -3999.0));
+  EXPECT_FALSE(accepts(&BrakeFeedback::force_N, -4000.0))
+      << "a load cell that has drifted may be anywhere below";
+  EXPECT_FALSE(accepts(&BrakeFeedback::force_N, -7000.0));
+  EXPECT_FALSE(accepts(&BrakeFeedback::force_N, 60e3));
+  EXPECT_FALSE(accepts(&BrakeFeedback::velocity_rad_s, 700.0));
+  EXPECT_FALSE(accepts(&BrakeFeedback::torque_Nm, -5.0));
+  EXPECT_EQ(station_.counts().implausible, 5U);
+}
+
 TEST_F(Protocol, OtherIdentifiersAreIgnored) {
   EXPECT_FALSE(station_.accept(Frame{0x7FF, 8, {}}, now_ns_));
   EXPECT_FALSE(brake_.accept(Frame{0x7FF, 8, {}}, now_ns_));
