@@ -37,9 +37,15 @@ constexpr double kRestSpeed_rad_s = 1.0;
 constexpr double kContactLost = 0.5;  // times contact_force_N
 /// Compression between two forces, times the nominal one: of a brake with 0.42 times the nominal stiffness.
 constexpr double kSoftestCompression = 1.55;
+/// Compression in the approach, times the nominal one: of a brake with 2.5 times the nominal
+/// stiffness, or an encoder that tells of half the motion.
+constexpr double kStiffestCompression = 0.78;
+constexpr double kDoubted_s = 0.025;
+constexpr int kDoubtedSamples = 6;  // at least
 constexpr double kLearnFactor = 5.0;  // times contact_force_N: how far the approach goes on
 constexpr double kMoveSpeed_rad_s = 220.0;
-constexpr double kArrived_rad = 0.03;
+constexpr double kSafeChange_rad_s = 250.0, kFoundAfter = 5.0;
+constexpr double kArrived_rad = 0.03, kArrived_rad_s = 10.0;  // the second: as far as that goes in a period
 constexpr double kDisplaced_rad = 0.3;  // while settling: go back
 constexpr int kMaxGap = 50;             // samples over which a prediction makes sense
 
@@ -63,7 +69,7 @@ void CheckSequence::enter(Stage stage) noexcept {
   stage_start_ = index_ + 1;
   still_samples_ = 0;
   last_.context.at_rest = stage == Stage::Tare;
-  last_.context.stop_ahead = stage == Stage::Open || stage == Stage::Rest || stage == Stage::Release;
+  last_.context.stop_ahead = stage == Stage::Open || stage == Stage::Rest;
 }
 
 inline CheckPhase CheckSequence::phase() const noexcept {
@@ -126,7 +132,7 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
   }
   index_ = feedback.sample_index;
   observer_.correct(feedback.position_rad, velocity_rad_s);
-  proof_.velocity_rad += velocity_rad_s * kPeriod_s;
+  proof_.velocity_rad += velocity_rad_s * plan_->drive.period_s;
   const ForcePair& pair = median_pair({force_N_, feedback.position_rad});
   smooth_force_N_ += 0.3 * (pair.force_N - smooth_force_N_);
   torque_Nm_ = feedback.torque_Nm;
@@ -154,7 +160,8 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
   }
   last_.fault = FaultCause::None;
   const bool bounded_in_time = stage_ != Stage::Trajectory && stage_ != Stage::Done;
-  if (bounded_in_time && static_cast<double>(samples_in_stage()) * kPeriod_s > plan_->phase_timeout_s) {
+  if (bounded_in_time &&
+      static_cast<double>(samples_in_stage()) * plan_->drive.period_s > plan_->phase_timeout_s) {
     last_.fault = FaultCause::SequenceTimeout;
     last_.torque_Nm = last_.velocity_rad_s = 0.0;
   } else {
@@ -181,7 +188,7 @@ inline void CheckSequence::command(double wanted) noexcept {
 /// Gently: with no more than this torque, or by a gentle ramp.
 double CheckSequence::keep_speed(double velocity_rad_s, double force_N, double torque_limit_Nm) noexcept {
   if (is_told_speed())
-    return ramped_velocity_rad_s(velocity_rad_s, last_.velocity_rad_s, kGentleRamp_rad_s2);
+    return ramped_velocity_rad_s(velocity_rad_s, last_.velocity_rad_s, kGentleRamp_rad_s2, plan_->drive);
   return std::clamp(velocity_torque_Nm(velocity_rad_s, 0.0, plan_->drive, observer_.state(), force_N),
                     -torque_limit_Nm, torque_limit_Nm);
 }
@@ -190,11 +197,16 @@ double CheckSequence::move_to(double target_rad) noexcept {
   if (is_told_speed()) {
     // Told a speed that is too slow to be missed, it may press on its end stop for long.
     if (pressing_samples_ >= kBlockedSamples) unproven_ = FaultCause::SpeedNotFollowed;
-    return ramped_velocity_rad_s(move_velocity_rad_s(target_rad, kMoveSpeed_rad_s, observer_.state()),
-                                 last_.velocity_rad_s, kMoveRamp_rad_s2);
+    return ramped_velocity_rad_s(
+        move_velocity_rad_s(target_rad, kMoveSpeed_rad_s, plan_->drive, observer_.state()),
+        last_.velocity_rad_s, kMoveRamp_rad_s2, plan_->drive);
   }
-  return move_torque_Nm(target_rad, kMoveSpeed_rad_s, plan_->drive, observer_.state(),
-                        std::max(0.0, force_N_));
+  // A reading that lies is found some periods later; the brake must not be too fast by then.
+  const double most_Nm =
+      plan_->drive.inertia_kg_m2 * kSafeChange_rad_s / (kFoundAfter * plan_->drive.period_s);
+  return std::clamp(
+      move_torque_Nm(target_rad, kMoveSpeed_rad_s, plan_->drive, observer_.state(), std::max(0.0, force_N_)),
+      -most_Nm, most_Nm);
 }
 
 // Of the last three: a single spike is never taken for contact, nor learned.
@@ -322,7 +334,7 @@ double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
   sum_force_N_ += feedback.force_N;
   sum_velocity_rad_s_ += feedback.velocity_rad_s;
   ++tare_samples_;
-  if (static_cast<double>(samples_in_stage() + 1) * kPeriod_s < plan_->tare_s) return 0.0;
+  if (static_cast<double>(samples_in_stage() + 1) * plan_->drive.period_s < plan_->tare_s) return 0.0;
   last_.context.force_zero_N = sum_force_N_ / tare_samples_;
   velocity_offset_rad_s_ = sum_velocity_rad_s_ / tare_samples_;
   smooth_force_N_ = 0.0;
@@ -336,7 +348,8 @@ double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
 /// Travel by the encoder and by the velocity since the approach began, or the reading that it disproves.
 /// Where they differ, the pads tell: between two forces lies a known compression. Where they agree, and the
 /// pads give way more than those of any brake of this product, the force reads too little: the controller
-/// would clamp until it reads enough.
+/// would clamp until it reads enough. Where they give way less than any (is_too_stiff()), it reads too much,
+/// or the encoder too little.
 FaultCause CheckSequence::prove_motion() const noexcept {
   const double position_rad = observer_.position_rad() - proof_.begin_rad;
   const double difference_rad = std::abs(proof_.velocity_rad - position_rad);
@@ -346,9 +359,21 @@ FaultCause CheckSequence::prove_motion() const noexcept {
                               std::sqrt(contact_N / plan_->drive.quadratic_N_rad2);
   const double compressed_rad = observer_.position_rad() - proof_.contact_rad;
   if (difference_rad < kProvenTravel_rad + kProvenShare * larger_rad)
-    return compressed_rad > kSoftestCompression * expected_rad ? FaultCause::ForceReading : FaultCause::None;
+    return compressed_rad > kSoftestCompression * expected_rad || is_too_stiff() ? FaultCause::ForceReading
+                                                                                  : FaultCause::None;
   return std::abs(compressed_rad - expected_rad) > kProvenShare * expected_rad ? FaultCause::PositionReading
                                                                                : FaultCause::VelocityReading;
+}
+
+/// From where the nominal brake's pads would begin to touch by the force with which contact was found: that
+/// may have been late.
+/// Readings of a millisecond tell by the torque that an encoder reads too little, long before.
+bool CheckSequence::is_too_stiff() const noexcept {
+  if (plan_->drive.period_s <= kPeriod_s) return false;
+  const double quadratic_N_rad2 = plan_->drive.quadratic_N_rad2;
+  const double touched_rad = proof_.contact_rad - std::sqrt(proof_.contact_N / quadratic_N_rad2);
+  const double expected_rad = std::sqrt(smooth_force_N_ / quadratic_N_rad2);
+  return observer_.position_rad() - touched_rad < kStiffestCompression * expected_rad;
 }
 
 double CheckSequence::approach() noexcept {
@@ -358,10 +383,17 @@ double CheckSequence::approach() noexcept {
   if (!last_.context.contact_known && smooth_force_N_ > plan_->contact_force_N) {
     stiffness_.start(plan_->drive, observer_.position_rad(), smooth_force_N_);
     proof_.contact_rad = observer_.position_rad();
+    proof_.contact_N = smooth_force_N_;
     last_.context.contact_known = true;
     last_.context.contact_rad = stiffness_.contact_rad();
   }
-  if (last_.context.contact_known && smooth_force_N_ > kLearnFactor * plan_->contact_force_N) {
+  const bool pressed =
+      last_.context.contact_known && smooth_force_N_ > kLearnFactor * plan_->contact_force_N;
+  pressed_samples_ = pressed ? pressed_samples_ + 1 : 0;
+  // Too soon for any brake may be spikes beside each other, too.
+  const bool is_sure = pressed_samples_ >= kDoubtedSamples &&
+                       static_cast<double>(pressed_samples_) * plan_->drive.period_s >= kDoubted_s;
+  if (pressed && (is_sure || !is_too_stiff())) {
     unproven_ = prove_motion();
     enter(Stage::Return);
     return move_to_start();
@@ -380,10 +412,15 @@ double CheckSequence::start_position_rad() const noexcept {
   return stiffness_.contact_rad() + rows().front().position_rad;
 }
 
+/// Near enough. Of a slow loop, the last bit of a move asks for less torque than friction holds.
+bool CheckSequence::has_arrived_at(double target_rad) const noexcept {
+  return std::abs(observer_.position_rad() - target_rad) <
+             std::max(kArrived_rad, kArrived_rad_s * plan_->drive.period_s) &&
+         std::abs(observer_.velocity_rad_s()) < kRestSpeed_rad_s;
+}
+
 double CheckSequence::move_to_start() noexcept {
-  const bool arrived = std::abs(observer_.position_rad() - start_position_rad()) < kArrived_rad &&
-                       std::abs(observer_.velocity_rad_s()) < kRestSpeed_rad_s;
-  if (arrived) {
+  if (has_arrived_at(start_position_rad())) {
     enter(Stage::Settle);
     return 0.0;
   }
@@ -396,7 +433,7 @@ double CheckSequence::settle() noexcept {
     enter(Stage::Return);
     return move_to_start();
   }
-  if (static_cast<double>(samples_in_stage() + 1) * kPeriod_s < plan_->settle_s) return 0.0;
+  if (static_cast<double>(samples_in_stage() + 1) * plan_->drive.period_s < plan_->settle_s) return 0.0;
   enter(Stage::Trajectory);
   trajectory_start_ = index_ + 1;
   return track();
@@ -419,10 +456,10 @@ inline double CheckSequence::track() noexcept {
 }
 
 double CheckSequence::release() noexcept {
+  // Pads that are pressed are far from the open end stop.
+  last_.context.stop_ahead = smooth_force_N_ < kLearnFactor * plan_->contact_force_N;
   const double target_rad = stiffness_.contact_rad() - plan_->clearance_rad;
-  const bool arrived = std::abs(observer_.position_rad() - target_rad) < kArrived_rad &&
-                       std::abs(observer_.velocity_rad_s()) < kRestSpeed_rad_s;
-  if (arrived) {
+  if (has_arrived_at(target_rad)) {
     enter(Stage::Done);
     return 0.0;
   }

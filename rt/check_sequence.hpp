@@ -104,7 +104,9 @@ class CheckSequence {
   CLAMPD_REALTIME double rest() noexcept;
   CLAMPD_REALTIME double tare(const BrakeFeedback& feedback) noexcept;
   CLAMPD_REALTIME FaultCause prove_motion() const noexcept;
+  CLAMPD_REALTIME bool is_too_stiff() const noexcept;
   CLAMPD_REALTIME double approach() noexcept;
+  CLAMPD_REALTIME bool has_arrived_at(double target_rad) const noexcept;
   CLAMPD_REALTIME double move_to_start() noexcept;
   CLAMPD_REALTIME double settle() noexcept;
   CLAMPD_REALTIME double track() noexcept;
@@ -148,6 +150,7 @@ class CheckSequence {
     bool fell = false;  ///< it was clamped
   } stretch_;
   int still_samples_ = 0;
+  int pressed_samples_ = 0;   ///< of the approach, in a row, with the force that ends it
   int pressing_samples_ = 0;  ///< at a place, with more torque than opening may take
   double pressing_rad_ = 0.0;
 
@@ -160,6 +163,7 @@ class CheckSequence {
     double begin_rad = 0.0;     ///< encoder, where the approach began
     double velocity_rad = 0.0;  ///< travel since, by the velocity
     double contact_rad = 0.0;   ///< encoder, where contact was found
+    double contact_N = 0.0;     ///< the force there
   } proof_;
   double run_force_N_ = 0.0;  ///< sums over the present run
   double run_nominal_N_ = 0.0;

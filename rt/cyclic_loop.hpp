@@ -36,12 +36,13 @@ class TickGrid {
   std::int64_t deadline_ns_;
 };
 
-/// Ticks `core` once in a period on a grid that is `commands` times as fine, and lets it repeat its command
-/// in between. Grid points that were passed while this thread was late count as the core's own when they are.
+/// Ticks `core` once in `commands` points of a grid, and lets it repeat its command in between. Grid points
+/// that were passed while this thread was late count as the core's own when they are.
 template <class Core>
 class FinerGrid {
  public:
-  FinerGrid(Core& core, int commands) noexcept : core_(core), commands_(commands) {}
+  FinerGrid(Core& core, int commands, std::int64_t cycle_ns) noexcept
+      : core_(core), commands_(commands), cycle_ns_(cycle_ns) {}
 
   CLAMPD_REALTIME void tick(std::int64_t now_ns, std::int64_t lateness_ns,
                             std::uint64_t skipped_points) noexcept {
@@ -51,7 +52,7 @@ class FinerGrid {
       core_.between(now_ns);
       return;
     }
-    const std::int64_t late_ns = lateness_ns - (commands_ - deadline) * (kPeriod_ns / commands_);
+    const std::int64_t late_ns = lateness_ns - (commands_ - deadline) * cycle_ns_;
     const auto missed = static_cast<std::uint64_t>(points_ / commands_ - 1);
     points_ %= commands_;
     core_.tick(now_ns, late_ns, missed);
@@ -61,6 +62,7 @@ class FinerGrid {
  private:
   Core& core_;
   std::int64_t commands_;
+  std::int64_t cycle_ns_;
   std::int64_t points_ = 0;  ///< passed since the core's last one
 };
 

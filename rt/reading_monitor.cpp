@@ -5,8 +5,6 @@
 #include <cstddef>
 #include <utility>
 
-#include "clampd/base/clock.hpp"
-
 namespace clampd::rt {
 namespace {
 
@@ -32,8 +30,9 @@ constexpr double kTorqueSamples = 10.0;       // samples at the tolerance that m
 // present force takes, and at least; and how far its speed may be from the command for long.
 constexpr double kSureTorque = 0.5, kLeastTorque = 0.1;
 constexpr double kSpeedTolerance = 0.4, kSpeedShare = 0.1, kSpeedSamples = 10.0;
-constexpr double kVelocityLag_samples = 3.0;  // a velocity reading may be filtered
-constexpr double kForceLag_samples = ReadingMonitor::kForceLag;
+// A velocity reading may be filtered, and a force reading may lag. Of slow samples, the median of five still
+// is that of two samples ago.
+constexpr double kVelocityLag_s = 3e-3, kForceLag_s = 5e-3, kLeastForceLag_samples = 2.5;
 constexpr double kForceShare = 0.03;
 constexpr double kForceJump = 3.0;  // tolerances; so much in one sample is wrong at once, not an outlier
 constexpr double kFrozenForce_N = 300.0;  // due, while the reading repeated exactly
@@ -50,6 +49,7 @@ constexpr int kBridgedGap = 3;         // samples that may be missing
 constexpr int kLearnSamples = 50;  // at rest, before noise counts as known
 constexpr int kNoisyRow = 8;       // a longer row of equal readings at rest: too little noise to judge by
 constexpr int kRepeatFactor = 5, kRepeatMargin = 5;
+constexpr int kSlowRepeatFactor = 3, kSlowRepeatMargin = 3;
 
 /// Of numbers, or of each of a pair: b where one is no number.
 template <class Number>
@@ -67,7 +67,9 @@ void RepeatWatch::learn() noexcept {
   learned_ = std::min(learned_ + 1, kMax);
   longest_ = std::max(longest_, repeats_);
   const bool known = learned_ >= kLearnSamples && longest_ <= kNoisyRow;
-  tolerated_ = known ? kRepeatFactor * std::max(longest_, 1) + kRepeatMargin : kMax;
+  const int factor = is_slow_ ? kSlowRepeatFactor : kRepeatFactor;
+  const int margin = is_slow_ ? kSlowRepeatMargin : kRepeatMargin;
+  tolerated_ = known ? factor * std::max(longest_, 1) + margin : kMax;
 }
 
 ReadingMonitor::Bounds::Bounds(const NominalDrive& drive, double force_tolerance_N,
@@ -80,6 +82,10 @@ ReadingMonitor::Bounds::Bounds(const NominalDrive& drive, double force_tolerance
       light_per_kg_m2(1.0 / (kInertiaLower * drive.inertia_kg_m2)),
       heavy_per_kg_m2(1.0 / (kInertiaUpper * drive.inertia_kg_m2)),
       most_torque_Nm(torque_limit_Nm),
+      period_s(drive.period_s),
+      velocity_lag_s(std::max(kVelocityLag_s, drive.period_s)),
+      force_lag_samples(std::max(kForceLag_s / drive.period_s, kLeastForceLag_samples)),
+      force_lag_rows(std::min<std::size_t>(kForceLag, std::llround(std::ceil(force_lag_samples - 1e-9)))),
       steep_rad(1e3),
       top_rad(std::numeric_limits<double>::infinity()) {
   NominalDrive sluggish = drive;
@@ -129,6 +135,13 @@ inline ReadingMonitor::Bounds::Slope ReadingMonitor::Bounds::slope(double force_
 inline DryFriction ReadingMonitor::Bounds::friction(double force_N) const noexcept {
   return {unloaded.coulomb_Nm + kCoulombLoad_Nm_N * force_N,
           unloaded.beyond_coulomb_Nm + load_friction_Nm_N * force_N, unloaded.stribeck_s2_rad2};
+}
+
+std::size_t ReadingMonitor::depth_at(double period_s) noexcept {
+  constexpr double kLatest_s = 3e-3;
+  const auto samples = static_cast<std::size_t>(std::ceil(kLatest_s / period_s - 1e-9));
+  // A difference of positions tells the velocity of half a sample ago: its change is that of two torques.
+  return std::clamp<std::size_t>(1 + samples, 3, kHistory);
 }
 
 void ReadingMonitor::Torques::fill_reported(double torque_Nm) noexcept {
@@ -209,7 +222,7 @@ ReadingMonitor::Pair ReadingMonitor::compare_speed(Pair velocity_rad_s, double e
   const Pair tolerance_rad_s = Pair{} + kSpeedTolerance * tolerances_.velocity_rad_s;
   const Pair excess_rad_s =
       outside_rad_s - tolerance_rad_s - kSpeedShare * larger(velocity_rad_s, -velocity_rad_s);
-  const double samples = elapsed_s / kPeriod_s;
+  const double samples = elapsed_s / bounds_.period_s;
   speed_excess_rad_s_ =
       larger(speed_excess_rad_s_ + larger(excess_rad_s, -tolerance_rad_s) * samples, Pair{});
   return speed_excess_rad_s_ / (kSpeedSamples * tolerances_.velocity_rad_s);
@@ -265,7 +278,7 @@ inline double ReadingMonitor::compare_position(double velocity_rad_s, double ste
   const double both_rad_s = smaller(std::abs(mean_rad_s), std::abs(step_rad / elapsed_s));
   common_speed_rad_s_ = larger(kForgetFast * common_speed_rad_s_, both_rad_s);
   return std::abs(position_excess_rad_) /
-         (tolerances_.position_rad + kVelocityLag_samples * kPeriod_s * common_speed_rad_s_);
+         (tolerances_.position_rad + bounds_.velocity_lag_s * common_speed_rad_s_);
 }
 
 inline double ReadingMonitor::compare_force(double reading_N, double step_rad) noexcept {
@@ -287,7 +300,8 @@ inline double ReadingMonitor::compare_force(double reading_N, double step_rad) n
   unanswered_N_ = unanswered ? unanswered_N_ + 0.5 * nominal_N : 0.0;
 
   const double force_N = larger(before_N, 0.0);
-  const double tolerance_N = tolerances_.force_N + kForceShare * force_N + kForceLag_samples * force_rate_N_;
+  const double tolerance_N =
+      tolerances_.force_N + kForceShare * force_N + bounds_.force_lag_samples * force_rate_N_;
   const Pair level = force_excess_N_ / Pair{tolerance_N, tolerance_N + kRelaxation * force_N};
   const double jump_N = std::abs(reading_N - before_N);
   return larger(larger(level[kAbove], level[kBelow]), jump_N / (kForceJump * tolerance_N));
@@ -369,10 +383,12 @@ FaultCause ReadingMonitor::observe(const BrakeFeedback& feedback, const ReadingC
     return FaultCause::None;
   }
   index_ = feedback.sample_index;
-  const double elapsed_s = static_cast<double>(samples) * kPeriod_s;
+  const double elapsed_s = static_cast<double>(samples) * bounds_.period_s;
   const double step_rad = feedback.position_rad - position_repeats_.last();
   torques_Nm_.push(kReported, feedback.torque_Nm);
-  const double lagging_rad = std::exchange(positions_rad_[forces_N_.oldest()], feedback.position_rad);
+  const std::size_t oldest = forces_N_.oldest();
+  const double lagging_rad = positions_rad_[(oldest + kForceLag - bounds_.force_lag_rows) % kForceLag];
+  positions_rad_[oldest] = feedback.position_rad;
   const double force = compare_force(feedback.force_N, step_rad);
   const double compression = compare_compression(feedback.position_rad, lagging_rad, context);
   const double position = compare_position(feedback.velocity_rad_s, step_rad, elapsed_s);

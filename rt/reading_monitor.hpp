@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <limits>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/base/result.hpp"
 #include "clampd/control/nominal_drive.hpp"
@@ -33,6 +34,9 @@ struct ReadingTolerances {
 /// learned at rest; a sensor without noise may repeat itself for ever, and is judged by other means.
 class RepeatWatch {
  public:
+  /// `period_s`: from reading to reading. Of slow ones fewer are waited for: the brake moves on meanwhile.
+  explicit RepeatWatch(double period_s = kPeriod_s) noexcept : is_slow_(period_s > kSlow_s) {}
+
   /// `learn`: the brake is at rest and the reading believed. True: the reading stands still though its
   /// sensor's noise should move it.
   CLAMPD_REALTIME bool repeats_too_often(double reading, bool learn) noexcept {
@@ -49,6 +53,7 @@ class RepeatWatch {
 
  private:
   static constexpr int kMax = 1'000'000;
+  static constexpr double kSlow_s = 3e-3;
 
   CLAMPD_REALTIME void learn() noexcept;
 
@@ -57,6 +62,7 @@ class RepeatWatch {
   int tolerated_ = kMax;  ///< any number, until the noise is known
   int learned_ = 0;       ///< samples at rest
   int longest_ = 0;       ///< row of equal readings at rest
+  bool is_slow_;
 };
 
 /// What a check knows about the brake on the bench.
@@ -88,8 +94,8 @@ struct ReadingContext {
 /// two readings is decided by the comparisons that involve only one of them.
 class ReadingMonitor {
  public:
-  /// Samples by which a force reading may lag.
-  static constexpr int kForceLag = 5;
+  /// Samples by which a force reading may lag, at most.
+  static constexpr std::size_t kForceLag = 5;
 
   /// `torque_limit_Nm`: of the brake's drive.
   ReadingMonitor(const ReadingTolerances& tolerances, const NominalDrive& drive,
@@ -136,6 +142,9 @@ class ReadingMonitor {
     double load_friction_Nm_N = 0.0, viscous_Nm_s_rad = 0.0;
     double light_per_kg_m2 = 0.0, heavy_per_kg_m2 = 0.0;  ///< one over the least and the largest inertia
     double most_torque_Nm = 0.0;  ///< of the drive
+    double period_s = 0.0;
+    double velocity_lag_s = 0.0, force_lag_samples = 0.0;  ///< that readings may have
+    std::size_t force_lag_rows = 0;                        ///< the second, of whole samples
     double steep_rad = 0.0;  ///< compression to where the nominal stiffness is steep
     double top_rad = 0.0;    ///< compression of the largest force on the nominal curve
     /// At equal steps of the root of the force, over which the stiffness is nearly straight; the last step
@@ -146,15 +155,19 @@ class ReadingMonitor {
   };
 
   static constexpr std::size_t kHistory = 4;
+  /// How much of the history counts: the present, and what of it lies within three milliseconds.
+  static std::size_t depth_at(double period_s) noexcept;
 
   /// The last torques that were commanded and reported, in no order.
   class Torques {
    public:
+    explicit Torques(std::size_t depth) noexcept : depth_(depth) {}
     /// `which`: kCommanded or kReported, which come at their own times.
     void push(int which, double torque_Nm) noexcept {
       std::size_t& oldest = oldest_[static_cast<std::size_t>(which)];
       values_Nm_[oldest][which] = torque_Nm;
-      oldest = (oldest + 1) % kHistory;
+      for (std::size_t unused = depth_; unused < kHistory; ++unused) values_Nm_[unused][which] = torque_Nm;
+      oldest = oldest + 1 < depth_ ? oldest + 1 : 0;
     }
     void fill_reported(double torque_Nm) noexcept;
     Pair least_Nm() const noexcept;
@@ -163,6 +176,7 @@ class ReadingMonitor {
    private:
     std::array<Pair, kHistory> values_Nm_{};
     std::array<std::size_t, 2> oldest_{};
+    std::size_t depth_;
   };
 
   /// The last force readings, in no order.
@@ -242,7 +256,7 @@ class ReadingMonitor {
 
   std::array<double, kForceLag> positions_rad_{};  ///< that go with forces_N_
   CommandedQuantity commanded_ = CommandedQuantity::Torque;
-  Torques torques_Nm_;
+  Torques torques_Nm_{depth_at(bounds_.period_s)};
   Speeds speeds_;
   Forces forces_N_;
   double force_N_ = 0.0;  ///< their median
@@ -258,9 +272,9 @@ class ReadingMonitor {
   double unanswered_N_ = 0.0;         ///< change of force that was due while the reading repeated
   Pair force_excess_N_{};             ///< how far changes of force lay outside of their bounds, accumulated
   Momentum momentum_;
-  RepeatWatch velocity_repeats_;
-  RepeatWatch force_repeats_;
-  RepeatWatch position_repeats_;
+  RepeatWatch velocity_repeats_{bounds_.period_s};
+  RepeatWatch force_repeats_{bounds_.period_s};
+  RepeatWatch position_repeats_{bounds_.period_s};
 };
 
 }  // namespace clampd::rt

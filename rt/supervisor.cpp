@@ -140,7 +140,7 @@ inline void Supervisor::check_stream(const BrakeFeedback& feedback) noexcept {
   if (!has_previous_) return;
   const std::int64_t samples = feedback.sample_index - previous_.sample_index;
   const std::int64_t elapsed_ns = feedback.brake_time_ns - previous_.brake_time_ns;
-  if (samples <= 0 || std::abs(elapsed_ns - samples * kPeriod_ns) > settings_.clock_tolerance_ns) {
+  if (samples <= 0 || std::abs(elapsed_ns - samples * period_ns_) > settings_.clock_tolerance_ns) {
     raise(FaultCause::FeedbackFrozen);
     return;
   }
@@ -165,7 +165,7 @@ inline void Supervisor::check_drive(const BrakeFeedback& feedback) noexcept {
 
 inline void Supervisor::check_limits(const BrakeFeedback& feedback) noexcept {
   const bool closing = told_to_close_ || feedback.velocity_rad_s > settings_.opening_velocity_rad_s;
-  if (feedback.force_N > (closing ? settings_.force_limit_N : settings_.force_ceiling_N))
+  if (feedback.force_N > (closing ? settings_.force_limit_N - early_N_ : settings_.force_ceiling_N))
     raise(FaultCause::OverForce);
   if (std::abs(feedback.velocity_rad_s) > settings_.speed_limit_rad_s) raise(FaultCause::OverSpeed);
   if (std::abs(feedback.torque_Nm) > settings_.torque_limit_Nm) raise(FaultCause::OverTorque);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 
 #include "clampd/base/clock.hpp"
@@ -50,7 +51,7 @@ struct SupervisorSettings {
   double plausible_torque_Nm = 20.0;
   double plausible_jump_rad = 1.0;  ///< position step against velocity, per sample, outside of a check
 
-  NominalDrive drive;          ///< of the product: what its readings are compared by
+  NominalDrive drive;  ///< of the product, and how often it samples: what its readings are compared by
   ReadingTolerances readings;  ///< against each other, in a check
 
   std::uint64_t skipped_in_a_row_tolerated = 2;
@@ -100,6 +101,8 @@ class Supervisor {
   explicit Supervisor(const SupervisorSettings& settings, const Policy& policy = kPolicy) noexcept
       : settings_(settings),
         policy_(&policy),
+        period_ns_(std::llround(settings.drive.period_s * 1e9)),
+        early_N_(kForceRate_N_s * (settings.drive.period_s - kPeriod_s)),
         monitor_(settings.readings, settings.drive, settings.torque_limit_Nm) {}
 
   CLAMPD_REALTIME void begin_tick(const TickInputs& inputs) noexcept;
@@ -146,6 +149,8 @@ class Supervisor {
     std::uint64_t count_ = 0;
   };
 
+  static constexpr double kForceRate_N_s = 300e3;  // 300 rad/s at 1 kN/rad
+
   void judge(FaultCause cause) noexcept;
   void enter_init() noexcept;
   void check_waiting() noexcept;
@@ -161,6 +166,10 @@ class Supervisor {
 
   SupervisorSettings settings_;
   const Policy* policy_;
+  std::int64_t period_ns_;
+  /// A slow loop looks less often: by how much a force may grow until then, beyond what it does in a
+  /// millisecond.
+  double early_N_;
 
   StationState state_ = StationState::Init;
   FaultCause fault_ = FaultCause::None;

@@ -26,11 +26,12 @@ Result<void> SupervisorSettings::validate() const {
     const char* name;
     bool valid;
   } checks[] = {
+      {"drive.period_s", positive(drive.period_s)},
       {"startup_timeout_ns", startup_timeout_ns > 0},
       {"good_samples_to_idle", good_samples_to_idle > 0 && good_samples_to_idle <= GoodRow::kMax},
       {"good_samples_to_run", good_samples_to_run > 0 && good_samples_to_run <= GoodRow::kMax},
       {"armed_timeout_ns", armed_timeout_ns > 0},
-      {"stale_ns (more than one period)", stale_ns > kPeriod_ns},
+      {"stale_ns (more than one period)", static_cast<double>(stale_ns) > 1e9 * drive.period_s},
       {"event_window_ns", event_window_ns > 0},
       {"clock_tolerance_ns", clock_tolerance_ns > 0},
       {"force_limit_N", positive(force_limit_N)},

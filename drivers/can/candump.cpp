@@ -21,7 +21,6 @@ namespace {
 /// Between two repeats. Counters go on in it as they would on the bus, so that they agree with the sample
 /// clock.
 constexpr int kPause_periods = 97;
-constexpr std::int64_t kPause_ns = kPause_periods * kPeriod_ns;
 
 void append(std::string& log, std::int64_t stamp_ns, std::string_view interface, const can::Frame& frame) {
   const std::int64_t stamp_us = (stamp_ns + 500) / 1000;
@@ -44,7 +43,8 @@ Result<std::string> format_candump(const CheckRecord& record, const can::Protoco
   can::BrakeProtocol brake(codec);
   std::array<can::Frame, can::kMaxFeedbackFrames> frames{};
   std::vector<std::pair<std::int64_t, can::Frame>> sent;
-  std::int64_t offset_ns = kPause_ns;
+  const std::int64_t pause_ns = kPause_periods * codec.period_ns;
+  std::int64_t offset_ns = pause_ns;
   const std::int64_t started_ns = parse_utc(record.started).value_or(0);
   for (const RunRecord& recorded : record.runs) {
     if (!recorded.removed.empty())
@@ -61,7 +61,7 @@ Result<std::string> format_candump(const CheckRecord& record, const can::Protoco
       reading.drive_enabled = true;
       const std::int64_t stamp_ns = started_ns + reading.brake_time_ns;
       for (int i = 0; i < codec.commands_per_period; ++i)
-        sent.emplace_back(stamp_ns - kPeriod_ns / 2 + i * codec.command_cycle_ns(),
+        sent.emplace_back(stamp_ns - codec.period_ns / 2 + i * codec.command_cycle_ns(),
                           station.command({run.torque_Nm[k], true, run.velocity_rad_s[k], codec.commanded}));
       for (int i = 0; i < codec.samples_per_period; ++i) {
         const std::size_t count = brake.feedback(reading, frames);
@@ -74,7 +74,7 @@ Result<std::string> format_candump(const CheckRecord& record, const can::Protoco
       (void)station.command({});
     for (int k = codec.samples_per_period; k < kPause_periods * codec.samples_per_period; ++k)
       brake.feedback({}, frames);
-    if (run.size() > 0) offset_ns += std::llround((run.time_s.back() - run.time_s[0]) * 1e9) + kPause_ns;
+    if (run.size() > 0) offset_ns += std::llround((run.time_s.back() - run.time_s[0]) * 1e9) + pause_ns;
   }
   std::stable_sort(sent.begin(), sent.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
   std::string log;

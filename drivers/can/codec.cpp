@@ -210,6 +210,7 @@ class CodecBuilder {
  public:
   CodecBuilder(const Database& database, const ProtocolMapping& mapping)
       : database_(database), mapping_(mapping) {
+    codec_.period_ns = mapping.period_ns;
     codec_.samples_per_period = mapping.samples_per_period;
     codec_.commands_per_period = mapping.commands_per_period;
   }
@@ -385,12 +386,13 @@ class CodecBuilder {
     if (clock.type != ValueType::Unsigned || clock.offset != 0.0 || clock.bits > 62 || tick_ns < 1.0 ||
         std::abs(tick_ns - std::round(tick_ns)) > 1e-6 * tick_ns ||
         tick_ns > 0.1 * static_cast<double>(codec_.feedback_cycle_ns()) ||
-        span_ns < 16.0 * static_cast<double>(kPeriod_ns))
+        span_ns < 16.0 * static_cast<double>(codec_.period_ns))
       return failure(fmt::format(
           "sample clock: {} in {} must be an unsigned count of at most 62 bits without offset, its tick a "
-          "whole number of nanoseconds up to {:g} ms, a tenth of the feedback's cycle, and wrap after 16 ms "
+          "whole number of nanoseconds up to {:g} ms, a tenth of the feedback's cycle, and wrap after {} ms "
           "at the earliest; sample_clock = \"\" if the brake sends no such clock",
-          mapping_.sample_clock, database_.file, 1e-7 * static_cast<double>(codec_.feedback_cycle_ns())));
+          mapping_.sample_clock, database_.file, 1e-7 * static_cast<double>(codec_.feedback_cycle_ns()),
+          16 * codec_.period_ns / kNanosecondsPerMillisecond));
     codec_.clock_tick_ns = std::llround(tick_ns);
     return {};
   }
@@ -493,7 +495,7 @@ int ProtocolCodec::bits_per_period(double data_speedup) const {
 }
 
 double bus_load(const ProtocolCodec& codec, double bitrate_bit_s, double data_speedup) {
-  return codec.bits_per_period(data_speedup) / kPeriod_s / bitrate_bit_s;
+  return codec.bits_per_period(data_speedup) / (1e-9 * static_cast<double>(codec.period_ns)) / bitrate_bit_s;
 }
 
 }  // namespace clampd::can

@@ -43,8 +43,9 @@ struct ProtocolMapping {
   ProtectionDescription protection;
   std::vector<FrameRequest> startup;   ///< what wakes the brake, before it sends or obeys
   std::vector<FrameRequest> shutdown;  ///< what is sent when the station ends, after the last command
-  int samples_per_period = 1;          ///< feedback: one of kFramesPerPeriod
-  int commands_per_period = 1;         ///< likewise
+  std::int64_t period_ns = kPeriod_ns;  ///< of the loop
+  int samples_per_period = 1;           ///< feedback: one of kFramesPerPeriod
+  int commands_per_period = 1;          ///< likewise
   /// Frames of more than 8 bytes, and those that the DBC file's attribute VFrameFormat says so of, are CAN
   /// FD; their data are sent faster.
   bool fast_data = false;
@@ -53,7 +54,7 @@ struct ProtocolMapping {
 inline constexpr std::size_t kMaxFeedbackFrames = 4;
 
 /// How often in the loop's period a brake may sample, and want a command.
-inline constexpr std::array<int, 4> kFramesPerPeriod{1, 2, 4, 5};
+inline constexpr std::array kFramesPerPeriod{1, 2, 4, 5, 8, 10, 20, 25};
 
 /// The value of a multiplexor by which a frame holds what is looked for.
 struct Selector {
@@ -110,12 +111,13 @@ struct ProtocolCodec {
   FeedbackField fault;
   std::int64_t clock_tick_ns = 1000;
   std::vector<SequenceStep> startup, shutdown;
+  std::int64_t period_ns = kPeriod_ns;
   int samples_per_period = 1;
   int commands_per_period = 1;
 
-  std::int64_t feedback_cycle_ns() const noexcept { return kPeriod_ns / samples_per_period; }
+  std::int64_t feedback_cycle_ns() const noexcept { return period_ns / samples_per_period; }
   double feedback_cycle_ms() const noexcept { return 1e-6 * static_cast<double>(feedback_cycle_ns()); }
-  std::int64_t command_cycle_ns() const noexcept { return kPeriod_ns / commands_per_period; }
+  std::int64_t command_cycle_ns() const noexcept { return period_ns / commands_per_period; }
 
   /// Checks the mapping against the database. Errors name the DBC file, message and signal, and what is
   /// needed: a name that is not there, a message with defects or of a size that no frame has, multiplexed

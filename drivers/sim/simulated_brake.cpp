@@ -23,12 +23,12 @@ double lagged(double value, double before, double after, double lag_s, double h)
 
 }  // namespace
 
-SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration, int samples_per_period)
+SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration, std::int64_t cycle_ns)
     : configuration_(configuration),
       random_(configuration.seed),
       spoiler_(configuration.spoiled, configuration.seed + 1),
-      cycle_ns_(kPeriod_ns / samples_per_period),
-      cycle_s_(kPeriod_s / samples_per_period),
+      cycle_ns_(cycle_ns),
+      cycle_s_(1e-9 * static_cast<double>(cycle_ns)),
       steps_(static_cast<int>(std::ceil(cycle_s_ / configuration.step_s - 1e-9))),
       speed_steps_(std::clamp(static_cast<int>(std::lround(configuration.speed_period_s / cycle_s_ * steps_)),
                               1, steps_)) {
@@ -39,7 +39,7 @@ SimulatedBrake::SimulatedBrake(const PlantConfiguration& configuration, int samp
   state_.relaxed_N = state_.force_N;
   state_.filtered_force_N = state_.force_N;
   force_history_N_.assign(
-      static_cast<std::size_t>(configuration.effects.channel_skew * steps_ * samples_per_period) + 2,
+      static_cast<std::size_t>(configuration.effects.channel_skew * kPeriod_s / cycle_s_ * steps_) + 2,
       state_.force_N);
 }
 

@@ -5,6 +5,7 @@
 #include <random>
 #include <vector>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/ports/brake_port.hpp"
 #include "drivers/sim/plant_configuration.hpp"
 #include "drivers/sim/spoiling.hpp"
@@ -29,19 +30,19 @@ struct Truth {
 /// the midpoint, friction implicit at velocity level as a projection) in steps of at most 20 us, against a
 /// Runge-Kutta scheme with event location there. With effects it disagrees in its physics, too.
 ///
-/// It samples on its own 1 kHz clock. At an instant k it latches the newest command, takes its readings, and
+/// It samples on its own clock. At an instant k it latches the newest command, takes its readings, and
 /// holds that torque until k + 1; told a speed, it makes the torque by a loop of its own. Pure: no I/O, no
-/// clock; one call of sample() is one millisecond. Neither command() nor sample() allocates.
+/// clock; one call of sample() is one cycle. Neither command() nor sample() allocates.
 class SimulatedBrake {
  public:
   /// `configuration` must be valid.
-  /// `samples_per_period`: how often it samples in the loop's period.
-  explicit SimulatedBrake(const PlantConfiguration& configuration, int samples_per_period = 1);
+  /// `cycle_ns`: from sample to sample.
+  explicit SimulatedBrake(const PlantConfiguration& configuration, std::int64_t cycle_ns = kPeriod_ns);
 
   /// A valid command arrived; it acts from the next sample on if no newer one comes.
   void command(const DriveCommand& command) noexcept;
 
-  /// Takes the sample that is due now and advances the brake by one millisecond.
+  /// Takes the sample that is due now and advances the brake by one cycle.
   BrakeFeedback sample() noexcept;
 
   /// By which the sample that is due now is late, or early if negative.

@@ -28,8 +28,8 @@ constexpr const char* kFirstColumns =
     "cause, torque_while_off, tare_force_N, tare_force_sd_N, tare_velocity_rad_s, tare_velocity_sd_rad_s";
 
 /// What later formats added to `checks`, one each: format 2 has the first of them.
-constexpr std::array<const char*, kChainFormat - 1> kLaterColumns{"systematic", "stopping", "sheet",
-                                                              "recipe", "found_rad"};
+constexpr std::array<const char*, kChainFormat - 1> kLaterColumns{"systematic", "stopping", "sheet", "recipe",
+                                                                  "found_rad"};
 
 constexpr std::array<DigestedTable, 4> kTables{{
     {"parameters", "position, name, unit, value, sd, lower, upper, verdict",

@@ -313,8 +313,7 @@ void read_check(SQLite::Statement& statement, CheckRecord& r) {
       r.tracking_rms_N >> r.timing.ticks >> r.timing.skipped >> r.timing.lost_samples >>
       r.timing.lateness_min_us >> r.timing.lateness_avg_us >> r.timing.lateness_max_us >> r.timing.bus_load >>
       r.method >> r.noise_torque_Nm >> cause >> torque_while_off >> r.tare_force_N >> r.tare_force_sd_N >>
-      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic >> stopping >> sheet >> recipe >>
-      found;
+      r.tare_velocity_rad_s >> r.tare_velocity_sd_rad_s >> systematic >> stopping >> sheet >> recipe >> found;
   r.found_rad = found_from(found);
   r.recipe = recipe_from(recipe);
   r.sheet = sheet_from(sheet);

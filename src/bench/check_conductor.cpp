@@ -218,7 +218,8 @@ CheckOutcome CheckConductor::outcome_at(Instant now) {
   const double periods = static_cast<double>(timing.ticks + timing.skipped);
   if (periods > 0.0)
     timing.bus_load = static_cast<double>(outcome.health.bus_bits) /
-                      (static_cast<double>(station_.configuration.can.bitrate) * periods * kPeriod_s);
+                      (static_cast<double>(station_.configuration.can.bitrate) * periods *
+                       station_.configuration.can.period_s());
   return outcome;
 }
 

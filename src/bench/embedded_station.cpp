@@ -37,7 +37,7 @@ EmbeddedStation::EmbeddedStation(PreparedStation station, const sim::PlantConfig
 
 void EmbeddedStation::advance_one_period() {
   simulate_period(brake_, core_, station_.codec, now_ns_, 0);
-  now_ns_ += kPeriod_ns;
+  now_ns_ += station_.codec.period_ns;
 }
 
 Result<CheckRecord> EmbeddedStation::run_check(const CheckRequest& request, CheckStore* store,
@@ -79,7 +79,9 @@ Result<Run> EmbeddedStation::stand_by(std::size_t rows) {
 }
 
 Result<void> EmbeddedStation::use_trajectory(const Run& trajectory) {
-  Result<Reference> reference = build_reference(trajectory, station_.configuration.model);
+  const double period_s = station_.configuration.can.period_s();
+  Result<Reference> reference =
+      build_reference(trajectory, station_.configuration.model, {.period_s = period_s});
   if (!reference) return tl::unexpected(reference.error());
   const std::string sha256 = sha256_hex(format_run(trajectory));
   const auto use_in = [&](PreparedCheck& check, const PreparedCheck& as_configured) {
@@ -89,7 +91,7 @@ Result<void> EmbeddedStation::use_trajectory(const Run& trajectory) {
     check.trajectories_sha256.clear();
     check.trajectory_sha256 = sha256;
     const double own_rows = static_cast<double>(as_configured.plan.reference.rows.size());
-    const double longer_s = std::max(0.0, static_cast<double>(trajectory.size()) - own_rows) * kPeriod_s;
+    const double longer_s = std::max(0.0, static_cast<double>(reference->rows.size()) - own_rows) * period_s;
     check.configuration.check.deadline_s =
         as_configured.configuration.check.deadline_s + as_configured.plan.repeats * longer_s;
   };

@@ -70,10 +70,12 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
   if (!described) return tl::unexpected(described.error());
   mapping.protection = *described;
   mapping.fast_data = configuration.can.data_bitrate > 0;
+  const double period_s = configuration.can.period_s();
+  mapping.period_ns = std::llround(1e9 * period_s);
   mapping.samples_per_period =
-      static_cast<int>(std::lround(kPeriod_s * 1e3 / configuration.can.feedback_cycle_ms));
+      static_cast<int>(std::lround(1e3 * period_s / configuration.can.feedback_cycle_ms));
   mapping.commands_per_period =
-      static_cast<int>(std::lround(kPeriod_s * 1e3 / configuration.can.command_cycle_ms));
+      static_cast<int>(std::lround(1e3 * period_s / configuration.can.command_cycle_ms));
   for (const CanSequenceFrame& frame : configuration.can.startup)
     mapping.startup.push_back({frame.message, frame.signals, frame.wait_ms});
   for (const CanSequenceFrame& frame : configuration.can.shutdown)
@@ -103,6 +105,12 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
         fmt::format("{}: [can.mapping] torque_command is empty, and there is no velocity_command, but a "
                     "brake has to be told one of the two: name the signal of the DBC file that has it",
                     configuration.file));
+  if (!mapping.velocity_command.empty() && mapping.period_ns > kPeriod_ns)
+    return failure(fmt::format(
+        "{}: [can.mapping] velocity_command and cycles above 1 ms exclude each other: what the brake's own "
+        "loop does "
+        "between two readings would remain unseen; have it send them each millisecond, or tell it its torque",
+        configuration.file));
   return mapping;
 }
 
@@ -157,7 +165,10 @@ rt::SupervisorSettings supervisor_settings(const StationConfiguration& configura
   };
   rt::SupervisorSettings settings;
   settings.startup_timeout_ns = nanoseconds(configured.start_up_ms);
-  settings.stale_ns = nanoseconds(configured.stale_after_ms);
+  const double period_ms = 1e3 * configuration.can.period_s();
+  settings.stale_ns = nanoseconds(configured.stale_after_ms.value_or(2.5 * period_ms));
+  settings.clock_tolerance_ns = nanoseconds(0.2 * period_ms);
+  settings.event_window_ns = nanoseconds(10.0 * period_ms);
   settings.corrupt_tolerated = static_cast<std::uint64_t>(configured.corrupt_frames_max);
   settings.frozen_tolerated = static_cast<std::uint64_t>(configured.frozen_frames_max);
   settings.implausible_tolerated = static_cast<std::uint64_t>(configured.implausible_frames_max);
@@ -170,7 +181,7 @@ rt::SupervisorSettings supervisor_settings(const StationConfiguration& configura
   settings.plausible_force_N = configured.plausible_force_N;
   settings.plausible_velocity_rad_s = configured.plausible_velocity_rad_s;
   settings.plausible_torque_Nm = configured.plausible_torque_Nm;
-  settings.drive = nominal_drive(configuration.model);
+  settings.drive = nominal_drive(configuration.model, configuration.can.period_s());
   settings.readings = {configured.torque_mismatch_Nm, configured.velocity_mismatch_rad_s,
                        configured.position_mismatch_rad, configured.force_mismatch_N};
   settings.drive_reports_live = configured.drive_reports_live;
@@ -219,7 +230,7 @@ rt::CheckPlan check_plan(const StationConfiguration& configuration, const std::v
   rt::CheckPlan plan;
   plan.reference = references.front();
   plan.further.assign(references.begin() + 1, references.end());
-  plan.drive = nominal_drive(configuration.model);
+  plan.drive = nominal_drive(configuration.model, configuration.can.period_s());
   plan.repeats = static_cast<std::uint16_t>(check.repeats_planned());
   plan.tare_s = check.tare_s;
   plan.approach_velocity_rad_s = check.approach_velocity_rad_s;
@@ -239,8 +250,9 @@ namespace {
 Result<void> check_deadline(const StationConfiguration& configuration, const rt::CheckPlan& plan) {
   const CheckSettings& check = configuration.check;
   const double least_s =
-      check.tare_s + check.repeats_planned() *
-                         (static_cast<double>(plan.reference.rows.size()) * kPeriod_s + check.settle_s);
+      check.tare_s +
+      check.repeats_planned() *
+          (static_cast<double>(plan.reference.rows.size()) * plan.drive.period_s + check.settle_s);
   if (least_s < check.deadline_s) return {};
   return failure(
       fmt::format("{}check.deadline_s = {:g} is too short for {} repeats, which take {:.0f} s and the "
@@ -287,11 +299,13 @@ struct LoadedReference {
   std::string sha256;
 };
 
-Result<LoadedReference> reference_of(const Result<LoadedRun>& trajectory, const BrakeParameters& nominal) {
+Result<LoadedReference> reference_of(const Result<LoadedRun>& trajectory,
+                                     const StationConfiguration& configuration) {
   if (!trajectory) return tl::unexpected(trajectory.error());
-  return build_reference(trajectory->run, nominal).map([&](Reference reference) {
-    return LoadedReference{std::move(reference), sha256_hex(format_run(trajectory->run))};
-  });
+  return build_reference(trajectory->run, configuration.model, {.period_s = configuration.can.period_s()})
+      .map([&](Reference reference) {
+        return LoadedReference{std::move(reference), sha256_hex(format_run(trajectory->run))};
+      });
 }
 
 /// The check's trajectory first, then the further ones.
@@ -314,7 +328,7 @@ constexpr std::size_t kMostTrajectories = 16;
 Result<void> prepare_trajectories(PreparedCheck& check) {
   std::vector<Reference> references;
   for (const Result<LoadedRun>& run : read_trajectories(check.configuration.check)) {
-    Result<LoadedReference> loaded = reference_of(run, check.configuration.model);
+    Result<LoadedReference> loaded = reference_of(run, check.configuration);
     if (!loaded) return tl::unexpected(loaded.error());
     if (!references.empty() && loaded->reference.rows.size() != references[0].rows.size())
       return failure(fmt::format(
@@ -329,8 +343,8 @@ Result<void> prepare_trajectories(PreparedCheck& check) {
                                references.size() - 1, kMostTrajectories - 1));
   check.trajectory_sha256 = check.trajectories_sha256.front();
   check.plan = check_plan(check.configuration, references);
-  check.trajectories = TrajectorySet(std::move(references), check.configuration.model,
-                                     check.configuration.check.torque_limit_Nm);
+  check.trajectories =
+      TrajectorySet(std::move(references), check.plan.drive, check.configuration.check.torque_limit_Nm);
   return check_deadline(check.configuration, check.plan);
 }
 

@@ -8,12 +8,25 @@
 namespace clampd {
 namespace {
 
-constexpr double kVelocityBandwidth_rad_s = 250.0;
-constexpr double kPositionBandwidth_rad_s = 80.0;
+// Of what is slower, no more than a share of a turn in a period: what is decided now acts from the next
+// sample on.
+constexpr double kVelocityBandwidth_rad_s = 250.0, kVelocityShare = 0.8;
+constexpr double kPositionBandwidth_rad_s = 80.0, kPositionShare = 0.25;
 constexpr double kBraking_rad_s2 = 4000.0;
 constexpr double kSignWidth_rad_s = 3.0;  // below, a friction feed-forward would chatter
+// How far from where the nominal brake has a force. That a force reads too little, a slow loop finds later,
+// and the brake comes to rest later: it goes less far.
+constexpr double kReach_rad = 6.0, kSlowReach_rad = 3.0;
 // Bounds of a brake's velocity over the nominal one's, where both have the same force.
 constexpr double kLeastStretch = 0.6, kMaxStretch = 1.6;
+
+double velocity_bandwidth_rad_s(const NominalDrive& drive) noexcept {
+  return std::min(kVelocityBandwidth_rad_s, kVelocityShare / drive.period_s);
+}
+
+double position_bandwidth_rad_s(const NominalDrive& drive) noexcept {
+  return std::min(kPositionBandwidth_rad_s, kPositionShare / drive.period_s);
+}
 
 /// The sign of a wanted velocity, with a ramp through zero.
 double soft_sign(double velocity_rad_s) noexcept {
@@ -28,7 +41,9 @@ struct StretchedRow {
 
 StretchedRow stretched(const ReferenceRow& row, const NominalDrive& drive,
                        const StiffnessCurve& stiffness) noexcept {
-  const double position_rad = stiffness.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2);
+  const double reach_rad = drive.period_s > kPeriod_s ? kSlowReach_rad : kReach_rad;
+  const double position_rad =
+      stiffness.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2, reach_rad);
   // The same force over time needs another velocity on another stiffness: v = F'(t) / (dF/dx).
   double stretch = 1.0;
   if (row.position_rad > 0.0)
@@ -51,15 +66,15 @@ struct Braking {
   double braking_rad_s2 = 0.0;
 };
 
-Braking braking_to(double distance_rad, double speed_limit_rad_s) noexcept {
+Braking braking_to(double distance_rad, double speed_limit_rad_s, const NominalDrive& drive) noexcept {
   // Exponential near the target, a parabola of constant braking before, joined smoothly.
-  constexpr double kJoin_rad = kBraking_rad_s2 / (kPositionBandwidth_rad_s * kPositionBandwidth_rad_s);
-  const double speed_rad_s = distance_rad < kJoin_rad
-                                 ? kPositionBandwidth_rad_s * distance_rad
-                                 : std::sqrt(2.0 * kBraking_rad_s2 * (distance_rad - 0.5 * kJoin_rad));
+  const double bandwidth_rad_s = position_bandwidth_rad_s(drive);
+  const double join_rad = kBraking_rad_s2 / (bandwidth_rad_s * bandwidth_rad_s);
+  const double speed_rad_s = distance_rad < join_rad
+                                 ? bandwidth_rad_s * distance_rad
+                                 : std::sqrt(2.0 * kBraking_rad_s2 * (distance_rad - 0.5 * join_rad));
   if (speed_rad_s > speed_limit_rad_s) return {speed_limit_rad_s, 0.0};
-  return {speed_rad_s,
-          distance_rad < kJoin_rad ? kPositionBandwidth_rad_s * speed_rad_s : kBraking_rad_s2};
+  return {speed_rad_s, distance_rad < join_rad ? bandwidth_rad_s * speed_rad_s : kBraking_rad_s2};
 }
 
 }  // namespace
@@ -68,7 +83,7 @@ double tracking_torque_Nm(const ReferenceRow& row, const ReferenceRow& next, con
                           const MotionState& motion, const StiffnessCurve& stiffness) noexcept {
   const auto [position_rad, stretch] = stretched(row, drive, stiffness);
   const double velocity_rad_s = stretch * row.velocity_rad_s;
-  const double acceleration_rad_s2 = (next.velocity_rad_s - row.velocity_rad_s) / kPeriod_s;
+  const double acceleration_rad_s2 = (next.velocity_rad_s - row.velocity_rad_s) / drive.period_s;
 
   const double feed_forward_Nm = row.torque_Nm +
                                  (stretch - 1.0) * (drive.inertia_kg_m2 * acceleration_rad_s2 +
@@ -86,7 +101,8 @@ double tracking_torque_Nm(const ReferenceRow& row, const ReferenceRow& next, con
 double tracking_velocity_rad_s(const ReferenceRow& row, const ReferenceRow& next, const NominalDrive& drive,
                                const MotionState& motion, const StiffnessCurve& stiffness) noexcept {
   const auto [position_rad, stretch] = stretched(row, drive, stiffness);
-  return stretch * next.velocity_rad_s + kPositionBandwidth_rad_s * (position_rad - motion.position_rad);
+  return stretch * next.velocity_rad_s +
+         position_bandwidth_rad_s(drive) * (position_rad - motion.position_rad);
 }
 
 double tracking_velocity_rad_s(const ReferenceRow& row, const ReferenceRow& next, const NominalDrive& drive,
@@ -100,24 +116,24 @@ double velocity_torque_Nm(double velocity_rad_s, double acceleration_rad_s2, con
       0.0, drive.dry_friction_Nm(std::abs(predicted.velocity_rad_s), force_N) + predicted.friction_excess_Nm);
   return drive.ratio_m_rad * force_N + friction_Nm * soft_sign(velocity_rad_s) +
          drive.viscous_Nm_s_rad * velocity_rad_s +
-         drive.inertia_kg_m2 *
-             (acceleration_rad_s2 + kVelocityBandwidth_rad_s * (velocity_rad_s - predicted.velocity_rad_s));
+         drive.inertia_kg_m2 * (acceleration_rad_s2 + velocity_bandwidth_rad_s(drive) *
+                                                          (velocity_rad_s - predicted.velocity_rad_s));
 }
 
 double move_torque_Nm(double target_rad, double speed_limit_rad_s, const NominalDrive& drive,
                       const MotionState& predicted, double force_N) noexcept {
   const double error_rad = target_rad - predicted.position_rad;
-  auto [speed_rad_s, braking_rad_s2] = braking_to(std::abs(error_rad), speed_limit_rad_s);
+  auto [speed_rad_s, braking_rad_s2] = braking_to(std::abs(error_rad), speed_limit_rad_s, drive);
   const double direction = std::copysign(1.0, error_rad);
   // Braking belongs to the move as planned; while the motor is still slower, it must not slow it further.
   if (direction * predicted.velocity_rad_s < 0.8 * speed_rad_s) braking_rad_s2 = 0.0;
   return velocity_torque_Nm(direction * speed_rad_s, -direction * braking_rad_s2, drive, predicted, force_N);
 }
 
-double move_velocity_rad_s(double target_rad, double speed_limit_rad_s,
+double move_velocity_rad_s(double target_rad, double speed_limit_rad_s, const NominalDrive& drive,
                            const MotionState& predicted) noexcept {
   const double error_rad = target_rad - predicted.position_rad;
-  return std::copysign(braking_to(std::abs(error_rad), speed_limit_rad_s).speed_rad_s, error_rad);
+  return std::copysign(braking_to(std::abs(error_rad), speed_limit_rad_s, drive).speed_rad_s, error_rad);
 }
 
 }  // namespace clampd

@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "clampd/base/clock.hpp"
-
 namespace clampd {
 namespace {
 
@@ -15,7 +13,7 @@ constexpr double kTorqueVariance_Nm2 = 0.08 * 0.08;          // of what the mode
 constexpr double kFrictionStepVariance_Nm2 = 0.006 * 0.006;  // drift of the friction excess, per sample
 constexpr double kFrictionStartVariance_Nm2 = 0.05 * 0.05;
 constexpr double kFrictionLimit_Nm = 0.5;
-constexpr int kSubsteps = 4;
+constexpr double kLongestSubstep_s = 0.25e-3;
 
 /// One scalar update of a Kalman filter, gain * innovation and P - gain * (P's row), where the state's
 /// component m is read and a and b are the other two. Of each pair, its entry of the symmetric P.
@@ -55,39 +53,41 @@ void MotionObserver::correct(double position_rad, double velocity_rad_s) noexcep
 }
 
 void MotionObserver::predict(const NominalDrive& drive, double torque_Nm, double force_N) noexcept {
-  constexpr double kStep_s = kPeriod_s / kSubsteps;
+  const double period_s = drive.period_s;
+  const int substeps = static_cast<int>(period_s / kLongestSubstep_s + 0.5);
+  const double step_s = period_s / substeps;
   const double per_inertia = 1.0 / drive.inertia_kg_m2;
-  const double push_rad_s = kStep_s * per_inertia * (torque_Nm - drive.ratio_m_rad * force_N);
-  const double drag = 1.0 / (1.0 + kStep_s * per_inertia * drive.viscous_Nm_s_rad);
+  const double push_rad_s = step_s * per_inertia * (torque_Nm - drive.ratio_m_rad * force_N);
+  const double drag = 1.0 / (1.0 + step_s * per_inertia * drive.viscous_Nm_s_rad);
   // Friction as what it takes from the velocity in a step.
   DryFriction friction = drive.dry_friction(force_N);
-  friction.coulomb_Nm = kStep_s * per_inertia * (friction.coulomb_Nm + state_.friction_excess_Nm);
-  friction.beyond_coulomb_Nm *= kStep_s * per_inertia;
+  friction.coulomb_Nm = step_s * per_inertia * (friction.coulomb_Nm + state_.friction_excess_Nm);
+  friction.beyond_coulomb_Nm *= step_s * per_inertia;
   const double before_rad_s = state_.velocity_rad_s;
   double velocity_rad_s = before_rad_s, sum_rad_s = 0.5 * before_rad_s;
-  for (int i = 0; i < kSubsteps; ++i) {
+  for (int i = 0; i < substeps; ++i) {
     const double holds_rad_s = std::max(friction.torque_Nm(velocity_rad_s), 0.0);
     const double free_rad_s = velocity_rad_s + push_rad_s;
     velocity_rad_s = (free_rad_s - std::max(std::min(free_rad_s, holds_rad_s), -holds_rad_s)) * drag;
     sum_rad_s += velocity_rad_s;
   }
   state_.velocity_rad_s = velocity_rad_s;
-  state_.position_rad += kStep_s * (sum_rad_s - 0.5 * velocity_rad_s);
+  state_.position_rad += step_s * (sum_rad_s - 0.5 * velocity_rad_s);
   Covariance c = covariance_;
   // At rest friction balances whatever acts: then neither velocity nor friction excess have an influence.
   const bool slides = velocity_rad_s != 0.0;
   if (!slides && before_rad_s == 0.0) c.pv = c.vv = c.vf = 0.0;
   // By how much 1 N m changes the velocity in a period, and what that is worth of the torque's variance.
-  const double gain = kPeriod_s * per_inertia, kick = gain * gain * kTorqueVariance_Nm2;
+  const double gain = period_s * per_inertia, kick = gain * gain * kTorqueVariance_Nm2;
   // T P T' + Q with T = (1 dt x; 0 1 v; 0 0 1), where v and x are what 1 N m of friction does to velocity
   // and position.
   const double v = slides ? std::copysign(gain, -velocity_rad_s) : 0.0;
-  const double x = 0.5 * kPeriod_s * v;
-  const double pv = c.pv + kPeriod_s * c.vv + x * c.vf;
-  const double pf = c.pf + kPeriod_s * c.vf + x * c.ff;
+  const double x = 0.5 * period_s * v;
+  const double pv = c.pv + period_s * c.vv + x * c.vf;
+  const double pf = c.pf + period_s * c.vf + x * c.ff;
   const double vf = c.vf + v * c.ff;
-  c.pp += kPeriod_s * (c.pv + pv) + x * (c.pf + pf) + 0.25 * kPeriod_s * kPeriod_s * kick;
-  c.pv = pv + v * pf + 0.5 * kPeriod_s * kick;
+  c.pp += period_s * (c.pv + pv) + x * (c.pf + pf) + 0.25 * period_s * period_s * kick;
+  c.pv = pv + v * pf + 0.5 * period_s * kick;
   c.pf = pf;
   c.vv += v * (c.vf + vf) + kick;
   c.vf = vf;

@@ -15,11 +15,11 @@ constexpr int kNewtonSteps = 6;
 }  // namespace
 
 double StiffnessCurve::position_for(double force_N, double nominal_position_rad,
-                                    double nominal_quadratic_N_rad2) const noexcept {
+                                    double nominal_quadratic_N_rad2, double reach_rad) const noexcept {
   if (nominal_position_rad <= 0.0 || force_N <= 0.0) return nominal_position_rad;
-  double highest = nominal_position_rad + kReach_rad;
+  double highest = nominal_position_rad + reach_rad;
   if (cubic_N_rad3 < 0.0) highest = std::min(highest, kSteep * quadratic_N_rad2 / (-3.0 * cubic_N_rad3));
-  const double lowest = std::max(0.5 * nominal_position_rad, nominal_position_rad - kReach_rad);
+  const double lowest = std::max(0.5 * nominal_position_rad, nominal_position_rad - reach_rad);
   highest = std::max(highest, lowest);
   // If only k2 differed, the force would be where the square of the position is as much smaller or larger.
   double x = std::clamp(nominal_position_rad * std::sqrt(nominal_quadratic_N_rad2 / quadratic_N_rad2), lowest,

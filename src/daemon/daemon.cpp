@@ -52,7 +52,7 @@ Daemon::Daemon(const bench::PreparedStation& station, can::FrameBus& bus, CheckS
       port_(bus, station.codec),
       core_(port_, station.supervisor, rt::ControlCore::kRingCapacity, rt::kPolicy,
             panel == nullptr ? nullptr : &panel->board()),
-      finer_grid_(core_, station.codec.commands_per_period),
+      finer_grid_(core_, station.codec.commands_per_period, station.codec.command_cycle_ns()),
       journal_(journal_file(station.configuration)),
       conductor_(station, core_, &store, WorkerMode::Background) {
   if (bench != nullptr) simulated_loop_.emplace(*bench, core_);
@@ -76,6 +76,7 @@ Result<void> Daemon::start() {
     if (Result<void> reading = panel_->start(); !reading) return reading;
   const RealtimeSettings& realtime = station_.configuration.realtime;
   rt::CyclicThreadSettings settings{realtime.priority, realtime.cpu, realtime.lock_memory};
+  settings.period_ns = station_.codec.period_ns;
   if (simulated_loop_) return loop_.start(settings, *simulated_loop_);
   if (station_.codec.commands_per_period == 1) return loop_.start(settings, core_);
   settings.period_ns = station_.codec.command_cycle_ns();
@@ -339,9 +340,9 @@ api::StationStatus Daemon::status() {
   status.interface = station_.configuration.can.interface;
   status.link = std::string(to_string(health.link));
   if (status.ticks > 0)
-    status.bus_load =
-        static_cast<double>(health.bus_bits) / (static_cast<double>(station_.configuration.can.bitrate) *
-                                                static_cast<double>(status.ticks) * kPeriod_s);
+    status.bus_load = static_cast<double>(health.bus_bits) /
+                      (static_cast<double>(station_.configuration.can.bitrate) *
+                       static_cast<double>(status.ticks) * station_.configuration.can.period_s());
   status.simulated = station_.configuration.simulated_brake;
   status.realtime = station_.configuration.realtime.priority > 0;
   if (next_) status.next_serial = next_->serial;
@@ -522,7 +523,7 @@ Result<nlohmann::ordered_json> Daemon::statistics(const CheckFilter& filter) {
 
 namespace {
 
-nlohmann::ordered_json reference_json(const Reference& reference) {
+nlohmann::ordered_json reference_json(const Reference& reference, double period_s) {
   nlohmann::ordered_json force = nlohmann::ordered_json::array();
   nlohmann::ordered_json velocity = force;
   nlohmann::ordered_json torque = force;
@@ -531,7 +532,7 @@ nlohmann::ordered_json reference_json(const Reference& reference) {
     velocity.push_back(row.velocity_rad_s);
     torque.push_back(row.torque_Nm);
   }
-  return {{"period_s", kPeriod_s},
+  return {{"period_s", period_s},
           {"force_N", std::move(force)},
           {"velocity_rad_s", std::move(velocity)},
           {"torque_Nm", std::move(torque)}};
@@ -542,9 +543,10 @@ nlohmann::ordered_json reference_json(const Reference& reference) {
 nlohmann::ordered_json Daemon::reference() {
   const std::lock_guard lock(mutex_);
   const rt::CheckPlan& plan = conductor_.plan();
-  nlohmann::ordered_json document = reference_json(plan.reference);
+  nlohmann::ordered_json document = reference_json(plan.reference, plan.drive.period_s);
   document["further"] = nlohmann::ordered_json::array();
-  for (const Reference& further : plan.further) document["further"].push_back(reference_json(further));
+  for (const Reference& further : plan.further)
+    document["further"].push_back(reference_json(further, plan.drive.period_s));
   return document;
 }
 

@@ -4,16 +4,14 @@
 #include <cmath>
 #include <utility>
 
-#include "clampd/base/clock.hpp"
 #include "clampd/brake/integrator.hpp"
 #include "clampd/control/control_law.hpp"
 #include "clampd/experiment/known_brake.hpp"
-#include "clampd/experiment/reference.hpp"
 
 namespace clampd {
 
-ClosedLoop::ClosedLoop(const BrakeParameters& nominal, double torque_limit_Nm)
-    : drive_(nominal_drive(nominal)), torque_limit_Nm_(torque_limit_Nm) {}
+ClosedLoop::ClosedLoop(const NominalDrive& drive, double torque_limit_Nm)
+    : drive_(drive), torque_limit_Nm_(torque_limit_Nm) {}
 
 double ClosedLoop::torque_Nm(const ReferenceRow& row, const ReferenceRow& next, const PaperBrake& brake,
                              const BrakeState& state) const {
@@ -46,7 +44,7 @@ bool ClosedLoop::simulate(const Reference& reference, const PaperBrake& brake, b
     steps_in = steps_in || allowed_Nm != possible_Nm;
     out.torque_max_Nm = std::max(out.torque_max_Nm, std::abs(asked_Nm));
     out.torque_Nm.push_back(held_back ? allowed_Nm : possible_Nm);
-    state = advance(brake, state, out.torque_Nm.back(), kPeriod_s);
+    state = advance_over(brake, state, out.torque_Nm.back(), drive_.period_s);
     if (!is_bounded(state)) {
       out.bounded = false;
       return steps_in;

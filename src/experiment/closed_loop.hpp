@@ -27,7 +27,8 @@ struct TrackedRun {
 /// the nominal one by.
 class ClosedLoop {
  public:
-  ClosedLoop(const BrakeParameters& nominal, double torque_limit_Nm);
+  /// `drive`: what the loop knows; the references must have its period.
+  ClosedLoop(const NominalDrive& drive, double torque_limit_Nm);
 
   /// `brake`, from contact and at rest, along the reference into `out`.
   void track(const Reference& reference, const BrakeParameters& brake, TrackedRun& out) const;

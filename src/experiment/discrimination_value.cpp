@@ -101,7 +101,10 @@ Result<void> check_rivals(std::span<const RivalModel> rivals) {
 
 RivalComparison::RivalComparison(std::span<const RivalModel> rivals, const NoiseLevels& noise,
                                  const BrakeParameters& nominal, const DiscriminationOptions& options)
-    : rivals_(rivals), noise_(noise), options_(options), loop_(nominal, options.torque_limit_Nm) {
+    : rivals_(rivals),
+      noise_(noise),
+      options_(options),
+      loop_(nominal_drive(nominal), options.torque_limit_Nm) {
   for (const RivalModel& rival : rivals) prior_information_.push_back(information_of(rival));
 }
 

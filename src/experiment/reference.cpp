@@ -79,18 +79,32 @@ Result<void> check_consistency(const Run& run, const PaperBrake& brake, const Re
   return {};
 }
 
+/// Rows of the trajectory in one of the loop's periods, whose torque has to be one.
+Result<std::size_t> rows_per_period(const Run& run, double period_s) {
+  const auto rows = static_cast<std::size_t>(std::lround(period_s / kPeriod_s));
+  for (std::size_t k = 0; k < run.size(); ++k)
+    if (run.torque_Nm[k] != run.torque_Nm[k - k % rows])
+      return failure(fmt::format(
+          "{}: row {}: the torque changes within the station's period of {:g} ms, so that it cannot be "
+          "replayed; "
+          "design a trajectory whose torque is held for a multiple of it (`clampctl design --block {}`)",
+          run.name, k, 1e3 * period_s, 2 * rows));
+  return rows;
+}
+
 /// Backward Riccati recursion along the rows; from its stationary solution at the last row.
 void add_gains(std::vector<ReferenceRow>& rows, const PaperBrake& brake, const BrakeParameters& nominal,
                const ReferenceOptions& options) {
+  const double period_s = options.period_s;
   const double input_cost = 1.0 / (options.tracking_torque_Nm * options.tracking_torque_Nm);
-  const Eigen::Vector2d input(0.5 * kPeriod_s * kPeriod_s / nominal.fixed.inertia_kg_m2,
-                              kPeriod_s / nominal.fixed.inertia_kg_m2);
+  const Eigen::Vector2d input(0.5 * period_s * period_s / nominal.fixed.inertia_kg_m2,
+                              period_s / nominal.fixed.inertia_kg_m2);
   Eigen::Matrix2d cost_to_go = Eigen::Matrix2d::Zero();
   const auto back_up = [&](ReferenceRow& row) {
     const double sign = row.velocity_rad_s < 0.0 ? -1.0 : 1.0;
     const auto slope = brake.linearise(row.position_rad, row.velocity_rad_s, row.torque_Nm, sign);
     Eigen::Matrix2d transition;
-    transition << 1.0, kPeriod_s, kPeriod_s * slope.by_position, 1.0 + kPeriod_s * slope.by_velocity;
+    transition << 1.0, period_s, period_s * slope.by_position, 1.0 + period_s * slope.by_velocity;
     Eigen::Matrix2d cost = Eigen::Matrix2d::Zero();
     cost(0, 0) = std::pow(row.stiffness_N_rad / options.tracking_force_N, 2) +
                  std::pow(1.0 / options.tracking_position_rad, 2);
@@ -111,6 +125,7 @@ void add_gains(std::vector<ReferenceRow>& rows, const PaperBrake& brake, const B
 
 Result<void> ReferenceOptions::validate() const {
   const std::pair<std::string_view, double> values[] = {
+      {"period_s", period_s},
       {"force_limit_N", force_limit_N},
       {"velocity_limit_rad_s", velocity_limit_rad_s},
       {"torque_limit_Nm", torque_limit_Nm},
@@ -129,8 +144,9 @@ Result<void> ReferenceOptions::validate() const {
   return {};
 }
 
-NominalDrive nominal_drive(const BrakeParameters& nominal) {
+NominalDrive nominal_drive(const BrakeParameters& nominal, double period_s) {
   NominalDrive drive;
+  drive.period_s = period_s;
   drive.inertia_kg_m2 = nominal.fixed.inertia_kg_m2;
   drive.ratio_m_rad = nominal.fixed.ratio_m_rad;
   drive.cubic_N_rad3 = nominal.theta[k1];
@@ -151,11 +167,12 @@ Result<Reference> build_reference(const Run& trajectory, const BrakeParameters& 
   if (checked) checked = check_limits(trajectory, options);
   if (checked) checked = check_consistency(trajectory, brake, options);
   if (!checked) return tl::unexpected(checked.error());
+  const Result<std::size_t> per_period = rows_per_period(trajectory, options.period_s);
+  if (!per_period) return tl::unexpected(per_period.error());
 
   Reference reference;
-  reference.rows.resize(trajectory.size());
-  for (std::size_t k = 0; k < trajectory.size(); ++k) {
-    ReferenceRow& row = reference.rows[k];
+  for (std::size_t k = 0; k < trajectory.size(); k += *per_period) {
+    ReferenceRow& row = reference.rows.emplace_back();
     row.force_N = trajectory.force_N[k];
     row.position_rad = trajectory.position_rad[k];
     row.velocity_rad_s = trajectory.velocity_rad_s[k];

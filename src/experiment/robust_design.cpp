@@ -157,7 +157,7 @@ class RobustProblem {
       : options_(options),
         brakes_(brakes),
         extremes_(extreme_brakes(options.nominal)),
-        loop_(options.nominal, options.limits.torque_Nm),
+        loop_(nominal_drive(options.nominal), options.limits.torque_Nm),
         score_(options.noise, options.target, loop_, options.nominal, brakes) {}
 
   Value evaluate(std::span<const double> x) {
@@ -402,7 +402,7 @@ Result<RobustEvaluation> evaluate_robust(const Run& trajectory, const BrakeParam
   CLAMPD_ASSERT(!brakes.empty());
   const Result<Reference> reference = build_reference(trajectory, nominal);
   if (!reference) return tl::unexpected(reference.error());
-  const ClosedLoop loop(nominal, torque_limit_Nm);
+  const ClosedLoop loop(nominal_drive(nominal), torque_limit_Nm);
   return evaluate_reference(*reference, loop, brakes, RunScore(noise, target, loop, nominal, brakes));
 }
 
@@ -415,7 +415,7 @@ RobustGain gain_over(const RobustEvaluation& baseline, const RobustEvaluation& d
 
 Result<PlainStep> best_step(const RobustOptions& options, std::span<const BrakeParameters> brakes) {
   const double length_s = static_cast<double>(options.samples) * kPeriod_s;
-  const ClosedLoop loop(options.nominal, options.limits.torque_Nm);
+  const ClosedLoop loop(nominal_drive(options.nominal), options.limits.torque_Nm);
   const RunScore score(options.noise, std::nullopt, loop, options.nominal, brakes);
   const auto keeps_limits = [&](const Reference& reference) {
     TrackedRun tracked;

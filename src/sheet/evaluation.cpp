@@ -66,9 +66,10 @@ CharacteristicEstimate evaluate_contact(const CharacteristicKind& kind, const Po
   const ContactPoint& contact = posterior.contact;
   if (!contact.why.empty()) return no_number(State::Unknown, contact.why);
   if (kind.from_where_found && !posterior.found_rad)
-    return no_number(State::Unknown,
-                     "where the check found the brake is not on record: let a station check it, since run files and "
-                     "checks of earlier versions do not say, or leave this line out");
+    return no_number(
+        State::Unknown,
+        "where the check found the brake is not on record: let a station check it, since run files and "
+        "checks of earlier versions do not say, or leave this line out");
   double value = contact.position_rad;
   double variance = contact.by_parameters.dot(posterior.covariance_normalised * contact.by_parameters +
                                               2.0 * posterior.covariance_with_contact) +
@@ -81,17 +82,17 @@ CharacteristicEstimate evaluate_contact(const CharacteristicKind& kind, const Po
 }
 
 CharacteristicEstimate evaluate_one(const Characteristic& line, const Posterior& posterior,
-                                    const BrakeParameters& nominal) {
+                                    const NominalDrive& drive) {
   const CharacteristicKind& kind = *line.kind;
   if (std::string why = missing(kind, posterior); !why.empty())
     return no_number(State::Unknown, std::move(why));
   if (kind.value == nullptr) return evaluate_contact(kind, posterior);
   // What the kind does not need may be unknown: any value does.
-  BrakeParameters centre{nominal.theta, posterior.parameters.fixed};
+  BrakeParameters centre{nominal_parameters(), posterior.parameters.fixed};
   for (const Parameter parameter : kind.needs)
     centre.theta[static_cast<Eigen::Index>(parameter)] =
         posterior.parameters.theta[static_cast<Eigen::Index>(parameter)];
-  const std::optional<double> value = kind.value(centre, line.circumstances, nominal);
+  const std::optional<double> value = kind.value(centre, line.circumstances, drive);
   double variance = 0.0;
   int reached = value ? 1 : 0, tried = 1;
   const Eigen::MatrixXd axes = deviations(kind, posterior);
@@ -103,7 +104,7 @@ CharacteristicEstimate evaluate_one(const Characteristic& line, const Posterior&
       brake.theta += (side == 0 ? 1.0 : -1.0) * deviation;
       if (const ParameterInfo* info = meaningless(brake.theta))
         return no_number(State::Unknown, fmt::format("{} is too uncertain", info->name));
-      sides[side] = kind.value(brake, line.circumstances, nominal);
+      sides[side] = kind.value(brake, line.circumstances, drive);
       ++tried;
       reached += sides[side] ? 1 : 0;
     }
@@ -131,10 +132,10 @@ Posterior posterior_of(const Estimate& estimate, const ParameterMatrix& added_no
 }
 
 std::vector<CharacteristicEstimate> evaluate(std::span<const Characteristic> characteristics,
-                                             const Posterior& posterior, const BrakeParameters& nominal) {
+                                             const Posterior& posterior, const NominalDrive& drive) {
   std::vector<CharacteristicEstimate> estimates;
   for (const Characteristic& line : characteristics)
-    estimates.push_back(posterior.unknown.empty() ? evaluate_one(line, posterior, nominal)
+    estimates.push_back(posterior.unknown.empty() ? evaluate_one(line, posterior, drive)
                                                   : no_number(State::Unknown, posterior.unknown));
   return estimates;
 }

@@ -10,7 +10,7 @@ namespace {
 
 /// (3): dF/dx where this brake has the force.
 std::optional<double> stiffness_N_rad(const BrakeParameters& parameters, const Circumstances& at,
-                                      const BrakeParameters&) {
+                                      const NominalDrive&) {
   const PaperBrake brake = paper_brake(parameters);
   const std::optional<double> x = position_of_force(brake, at.force_N);
   if (!x) return std::nullopt;
@@ -20,33 +20,33 @@ std::optional<double> stiffness_N_rad(const BrakeParameters& parameters, const C
 
 /// (4): what turns the motor in the clearance.
 std::optional<double> drag_Nm(const BrakeParameters& parameters, const Circumstances& at,
-                              const BrakeParameters&) {
+                              const NominalDrive&) {
   return paper_brake(parameters).friction().sliding_Nm(0.0, at.speed_rad_s, 1.0);
 }
 
 /// N F + Tf applying less N F - Tf releasing.
 std::optional<double> hysteresis_Nm(const BrakeParameters& parameters, const Circumstances& at,
-                                    const BrakeParameters&) {
+                                    const NominalDrive&) {
   return 2.0 * paper_brake(parameters).friction().sliding_Nm(at.force_N, at.speed_rad_s, 1.0);
 }
 
 /// (5): what static friction could hold beyond the load's torque.
 std::optional<double> holding_margin_Nm(const BrakeParameters& parameters, const Circumstances& at,
-                                        const BrakeParameters&) {
+                                        const NominalDrive&) {
   return paper_brake(parameters).friction().holding_Nm(at.force_N) -
          parameters.fixed.ratio_m_rad * at.force_N;
 }
 
 /// From standstill there: load and static friction.
 std::optional<double> least_torque_Nm(const BrakeParameters& parameters, const Circumstances& at,
-                                      const BrakeParameters&) {
+                                      const NominalDrive&) {
   return paper_brake(parameters).friction().holding_Nm(at.force_N) +
          parameters.fixed.ratio_m_rad * at.force_N;
 }
 
 /// Between the open position and that of the set point, up to a share of its force.
 std::optional<double> time_s(const BrakeParameters& parameters, const Circumstances& at,
-                             const BrakeParameters& nominal, bool applies) {
+                             const NominalDrive& drive, bool applies) {
   const PaperBrake brake = paper_brake(parameters);
   const std::optional<double> set_point = position_of_force(brake, at.force_N);
   if (!set_point) return std::nullopt;
@@ -56,17 +56,17 @@ std::optional<double> time_s(const BrakeParameters& parameters, const Circumstan
                       .level_rad = position_of_force(brake, at.share * at.force_N).value(),
                       .torque_limit_Nm = at.torque_limit_Nm,
                       .speed_limit_rad_s = at.speed_limit_rad_s},
-                     nominal);
+                     drive);
 }
 
 std::optional<double> apply_time_s(const BrakeParameters& parameters, const Circumstances& at,
-                                   const BrakeParameters& nominal) {
-  return time_s(parameters, at, nominal, true);
+                                   const NominalDrive& drive) {
+  return time_s(parameters, at, drive, true);
 }
 
 std::optional<double> release_time_s(const BrakeParameters& parameters, const Circumstances& at,
-                                     const BrakeParameters& nominal) {
-  return time_s(parameters, at, nominal, false);
+                                     const NominalDrive& drive) {
+  return time_s(parameters, at, drive, false);
 }
 
 // Forces end where the loop's own limit of 29 kN would hold it back; shares where the law's approach to its

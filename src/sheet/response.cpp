@@ -3,11 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "clampd/base/clock.hpp"
 #include "clampd/brake/integrator.hpp"
 #include "clampd/control/control_law.hpp"
 #include "clampd/experiment/known_brake.hpp"
-#include "clampd/experiment/reference.hpp"
 
 namespace clampd {
 namespace {
@@ -41,15 +39,15 @@ double passing_share(const BrakeState& before, const BrakeState& after, double l
   return 0.5 * (low + high);
 }
 
-std::optional<double> move_time_s(const PaperBrake& brake, const Move& move, const BrakeParameters& nominal) {
-  const NominalDrive drive = nominal_drive(nominal);
+std::optional<double> move_time_s(const PaperBrake& brake, const Move& move, const NominalDrive& drive) {
+  const double period_s = drive.period_s;
   const double direction = move.to_rad > move.from_rad ? 1.0 : -1.0;
   BrakeState state(move.from_rad, 0.0);
-  for (int k = 0; k * kPeriod_s < kLongestMove_s; ++k) {
-    const BrakeState next = advance(brake, state, commanded_Nm(brake, state, move, drive), kPeriod_s);
+  for (int k = 0; k * period_s < kLongestMove_s; ++k) {
+    const BrakeState next = advance_over(brake, state, commanded_Nm(brake, state, move, drive), period_s);
     if (!is_bounded(next)) return std::nullopt;
     if (direction * (next[0] - move.level_rad) >= 0.0)
-      return (k + passing_share(state, next, move.level_rad, kPeriod_s)) * kPeriod_s;
+      return (k + passing_share(state, next, move.level_rad, period_s)) * period_s;
     state = next;
   }
   return std::nullopt;

@@ -17,10 +17,10 @@ struct Move {
 };
 
 /// Seconds from the instant the drive's torque begins to act until the motor passes the level; nothing if it
-/// does not within kLongestMove_s. The law (`move_torque_Nm`, limits last) is made for the `nominal` drive
+/// does not within kLongestMove_s. The law (`move_torque_Nm`, limits last) is made for this drive
 /// and knows what the loop observes: the state at the instant at which its torque acts, and what this brake's
 /// friction differs by.
-std::optional<double> move_time_s(const PaperBrake& brake, const Move& move, const BrakeParameters& nominal);
+std::optional<double> move_time_s(const PaperBrake& brake, const Move& move, const NominalDrive& drive);
 
 inline constexpr double kLongestMove_s = 3.0;
 

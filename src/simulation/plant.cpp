@@ -3,8 +3,6 @@
 #include <cmath>
 #include <utility>
 
-#include "clampd/base/clock.hpp"
-
 namespace clampd::plant {
 namespace {
 
@@ -27,10 +25,10 @@ can::WireFault wire_fault(const sim::PlantConfiguration& configuration, double t
 
 Plant::Plant(can::FrameBus& bus, const can::ProtocolCodec& codec,
              const sim::PlantConfiguration& configuration, Trace* trace)
-    : brake_{configuration, codec.samples_per_period},
+    : brake_{configuration, codec.feedback_cycle_ns()},
       node_{bus, codec, brake_},
       trace_{trace},
-      cycle_s_{kPeriod_s / codec.samples_per_period} {}
+      cycle_s_{1e-9 * static_cast<double>(codec.feedback_cycle_ns())} {}
 
 void Plant::tick(std::int64_t now_ns, std::int64_t /*lateness_ns*/,
                  std::uint64_t /*skipped_periods*/) noexcept {

@@ -135,16 +135,40 @@ void read_sequence(TableReader& can, std::string_view key, const std::string& fi
 }
 
 void read_cycle(TableReader& reader, const toml::table& table, std::string_view key, double& cycle_ms) {
-  constexpr std::array kCycles_ms{1.0, 0.5, 0.25, 0.2};
+  constexpr std::array kCycles_ms{5.0, 2.0, 1.0, 0.5, 0.25, 0.2};
   reader.number(key, cycle_ms, 1e-3, 1e3);
   if (std::find(kCycles_ms.begin(), kCycles_ms.end(), cycle_ms) != kCycles_ms.end()) return;
   reader.refuse(
       table.get(key)->source(),
-      fmt::format("can.{} is {:g} ms; it can be 1, 0.5, 0.25 or 0.2. {}", key, cycle_ms,
-                  cycle_ms > 1.0
-                      ? "Control and estimates need readings and commands each millisecond: a brake with "
-                        "slower frames needs a faster mode for its check"
-                      : "A millisecond has to be a multiple of it"));
+      fmt::format(
+          "can.{} is {:g} ms; it can be 5, 2, 1, 0.5, 0.25 or 0.2. {}", key, cycle_ms,
+          cycle_ms > 5.0
+              ? "Slower frames show too little of a clamping of 0.1 s, and too late what goes wrong: such a "
+                "brake needs a faster mode for its check"
+              : "Choose the cycle that its maker states, or another mode of it"));
+}
+
+bool is_slow(const CanSettings& can) {
+  return can.period_s() > 2.5e-3;
+}
+
+/// The loop's period is the slower of the two, if that is more than a millisecond.
+void compare_cycles(TableReader& reader, const toml::table& table, const CanSettings& can) {
+  const double slower_ms = std::max(can.feedback_cycle_ms, can.command_cycle_ms);
+  const double ratio = slower_ms / std::min(can.feedback_cycle_ms, can.command_cycle_ms);
+  if (slower_ms <= 1.0) return;
+  const std::string both = fmt::format("can.feedback_cycle_ms is {:g}, and can.command_cycle_ms {:g}",
+                                       can.feedback_cycle_ms, can.command_cycle_ms);
+  if (std::abs(ratio - std::round(ratio)) > 1e-9)
+    reader.refuse(table.source(),
+                  both + ": where one of them is above 1 ms, it has to be a multiple of the other");
+  // The torque of a row is known when all of its readings are: a command then comes a whole period late.
+  else if (can.feedback_cycle_ms < can.command_cycle_ms && can.command_cycle_ms > 2.0)
+    reader.refuse(table.source(),
+                  both +
+                      ": where readings come more often than commands, these have to come every "
+                      "2 ms or more often; have the brake send its readings as often as it "
+                      "wants commands");
 }
 
 void read_can(TableReader& reader, const toml::table& table, const std::string& file,
@@ -162,6 +186,7 @@ void read_can(TableReader& reader, const toml::table& table, const std::string& 
         "can.data_bitrate must not be below can.bitrate; leave it out for a bus without bit-rate switch");
   read_cycle(reader, table, "feedback_cycle_ms", can.feedback_cycle_ms);
   read_cycle(reader, table, "command_cycle_ms", can.command_cycle_ms);
+  compare_cycles(reader, table, can);
   read_protection(reader, file, error, can.protection);
   read_can_mapping(reader, file, error, can.mapping);
   read_sequence(reader, "startup", file, error, can.startup);
@@ -246,10 +271,14 @@ void read_realtime(TableReader& reader, RealtimeSettings& realtime) {
   reader.boolean("lock_memory", realtime.lock_memory);
 }
 
-void read_supervisor(TableReader& reader, SupervisorSettings& s) {
+void read_supervisor(TableReader& reader, double period_ms, SupervisorSettings& s) {
   reader.number("start_up_ms", s.start_up_ms, 10.0, 60'000.0);
-  reader.number("stale_after_ms", s.stale_after_ms, 1.5,
-                4.5);  // beyond, torque would outlive its cause by 5 ms
+  if (reader.has("stale_after_ms")) {
+    double stale_after_ms = 0.0;
+    // Beyond, torque would outlive its cause by five periods.
+    reader.number("stale_after_ms", stale_after_ms, 1.5 * period_ms, 4.5 * period_ms);
+    s.stale_after_ms = stale_after_ms;
+  }
   reader.integer("corrupt_frames_max", s.corrupt_frames_max, 0, 3);
   reader.integer("frozen_frames_max", s.frozen_frames_max, 0, 3);
   reader.integer("implausible_frames_max", s.implausible_frames_max, 0, 3);
@@ -287,7 +316,9 @@ void read_repeats(TableReader& reader, const toml::table& table, CheckSettings& 
         "check.repeats must be a whole number from 1 to 200, or \"auto\" for as many as the brake needs");
 }
 
-void read_check(TableReader& reader, const toml::table& table, const std::string& folder, CheckSettings& c) {
+/// `is_slow`: rows are too far apart for the output error method.
+void read_check(TableReader& reader, const toml::table& table, const std::string& folder, bool is_slow,
+                CheckSettings& c) {
   read_repeats(reader, table, c);
   reader.path("trajectory", c.trajectory, folder);
   reader.paths("further_trajectories", c.further_trajectories, folder);
@@ -301,6 +332,11 @@ void read_check(TableReader& reader, const toml::table& table, const std::string
   std::string method(to_string(c.method));
   reader.choice("method", method, {"oem", "pem"});
   c.method = *parse_method(method);
+  if (is_slow && reader.has("method") && c.method != Method::PredictionError)
+    reader.refuse(
+        table.get("method")->source(),
+        "check.method = oem cannot be as sure as it says where [can] has cycles above 2 ms; write \"pem\" or "
+        "leave the method out");
   reader.path("model", c.model, folder);
   if (!c.model.empty()) {
     if (reader.has("method") && c.method != Method::PredictionError)
@@ -508,11 +544,12 @@ Result<StationConfiguration> parse_station_configuration(const std::string& text
   section("realtime",
           [&](TableReader& reader, const toml::table&) { read_realtime(reader, configuration.realtime); });
   section("supervisor", [&](TableReader& reader, const toml::table&) {
-    read_supervisor(reader, configuration.supervisor);
+    read_supervisor(reader, 1e3 * configuration.can.period_s(), configuration.supervisor);
   });
   section("check", [&](TableReader& reader, const toml::table& table) {
-    read_check(reader, table, folder, configuration.check);
+    read_check(reader, table, folder, is_slow(configuration.can), configuration.check);
   });
+  if (is_slow(configuration.can)) configuration.check.method = Method::PredictionError;
   section("validity",
           [&](TableReader& reader, const toml::table&) { read_validity(reader, configuration.validity); });
   section("model",

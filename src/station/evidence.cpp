@@ -5,6 +5,7 @@
 
 #include <fmt/format.h>
 
+#include "clampd/experiment/reference.hpp"
 #include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/station/cause.hpp"
 
@@ -41,6 +42,12 @@ ParameterVector sd_with_tare(const Estimate& joint, const Tare& tare) {
 
 namespace {
 
+/// From row to row, on average over the first run.
+double period_of(const std::vector<RunRecord>& runs) {
+  const Run& run = runs.front().run;
+  return (run.time_s.back() - run.time_s.front()) / static_cast<double>(run.size() - 1);
+}
+
 struct ExpectedResidual {
   double force_N = 0.0;
   double velocity_rad_s = 0.0;
@@ -52,17 +59,17 @@ struct ExpectedResidual {
 /// F follows x by the stiffness, for which 2 sqrt(k2 F) is an upper bound as long as k1 <= 0.
 ExpectedResidual expected_residual(const Tare& tare, const std::vector<RunRecord>& runs,
                                    const BrakeParameters& model, double torque_noise_Nm) {
-  double samples = 0.0;
-  double force_max_N = 0.0;
+  const double period_s = period_of(runs);
+  double samples = 0.0, force_max_N = 0.0;
   for (const RunRecord& record : runs) {
     samples = std::max(samples, static_cast<double>(record.run.size()));
     force_max_N =
         std::max(force_max_N, *std::max_element(record.run.force_N.begin(), record.run.force_N.end()));
   }
-  const double step_rad_s = torque_noise_Nm * kPeriod_s / model.fixed.inertia_kg_m2;
+  const double step_rad_s = torque_noise_Nm * period_s / model.fixed.inertia_kg_m2;
   const double stiffness_N_rad = 2.0 * std::sqrt(model.theta[k2] * std::max(force_max_N, 0.0));
   const double drift_N =
-      stiffness_N_rad * step_rad_s * kPeriod_s * std::sqrt(samples * samples * samples / 12.0);
+      stiffness_N_rad * step_rad_s * period_s * std::sqrt(samples * samples * samples / 12.0);
   return {std::hypot(tare.force_sd_N, drift_N),
           std::hypot(tare.velocity_sd_rad_s, step_rad_s * std::sqrt(samples / 2.0))};
 }
@@ -127,9 +134,10 @@ std::optional<SystematicRecord> add_estimate(const Estimate& joint, const std::v
   if (reading.stopping) facts.guard_bands = reading.stopping->guard_bands(joint);
   if (reading.sheet) {
     const Posterior posterior = posterior_of_check(joint, added, runs, reading.tare, reading.found_rad);
-    facts.characteristics = judge_sheet(reading.sheet->characteristics,
-                                        evaluate(reading.sheet->characteristics, posterior, reading.model),
-                                        facts.guard_bands ? facts.guard_bands->widest() : reading.guard_band_k);
+    facts.characteristics = judge_sheet(
+        reading.sheet->characteristics,
+        evaluate(reading.sheet->characteristics, posterior, nominal_drive(reading.model, period_of(records))),
+        facts.guard_bands ? facts.guard_bands->widest() : reading.guard_band_k);
   }
   return systematic;
 }

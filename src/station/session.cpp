@@ -150,8 +150,8 @@ Looks CheckSession::looks() {
           }};
 }
 
-/// What the verdict would be if the check ended here and the station did its part. The tare, as the check's first
-/// sample, was over before the first run, so that whoever identifies the runs may read it.
+/// What the verdict would be if the check ended here and the station did its part. The tare, as the check's
+/// first sample, was over before the first run, so that whoever identifies the runs may read it.
 Look CheckSession::look_at(const std::vector<RunRecord>& runs, const Estimate& joint) const {
   CheckFacts facts;
   facts.tracking_rms_N = tracking_rms_N(runs);

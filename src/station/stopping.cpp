@@ -8,6 +8,7 @@
 #include <fmt/ranges.h>
 
 #include "clampd/base/assert.hpp"
+#include "clampd/experiment/reference.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/sheet/evaluation.hpp"
 #include "clampd/station/cause.hpp"
@@ -120,7 +121,7 @@ double log_deviations(const Posterior& expected, const Judgement& judgement,
   }
   if (std::none_of(judgement.characteristics.begin(), judgement.characteristics.end(), is_marginal<CharacteristicRecord>))
     return sum;
-  const std::vector<CharacteristicEstimate> lines = evaluate(sheet, expected, nominal);
+  const std::vector<CharacteristicEstimate> lines = evaluate(sheet, expected, nominal_drive(nominal));
   for (std::size_t i = 0; i < lines.size(); ++i)
     if (is_marginal(judgement.characteristics[i])) sum += std::log(lines[i].sd);
   return sum;
@@ -136,10 +137,10 @@ std::uint8_t next_trajectory_for(const Judgement& judgement, const Estimate& joi
   for (const RunRecord& run : runs)
     if (run.trajectory < driven.size()) driven[run.trajectory] += 1.0;
   const NextRunValue value = trajectories.value_of_next(joint, driven);
-  // What the encoder tells gets better by one more run of any kind alike; where the brake was found changes nothing.
-  Posterior expected{.parameters = joint.parameters,
-                     .contact = contact_point(runs_of(runs), joint),
-                     .found_rad = 0.0};
+  // What the encoder tells gets better by one more run of any kind alike; where the brake was found changes
+  // nothing.
+  Posterior expected{
+      .parameters = joint.parameters, .contact = contact_point(runs_of(runs), joint), .found_rad = 0.0};
   std::uint8_t best = 0;
   double least = std::numeric_limits<double>::infinity();
   for (std::size_t k = 0; k < value.after.size(); ++k) {

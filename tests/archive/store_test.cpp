@@ -248,11 +248,10 @@ TEST_F(Store, SealsWhatAnOlderVersionSaved) {
 
 TEST_F(Store, KeepsWhatSchema8SealedVerifiable) {
   const std::string id = make_check_record().id;
-  make_older(
-      1,
-      "ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE checks DROP COLUMN stopping; "
-      "ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP COLUMN recipe; "
-      "ALTER TABLE checks DROP COLUMN found_rad; PRAGMA user_version = 8");
+  make_older(1,
+             "ALTER TABLE checks DROP COLUMN systematic; ALTER TABLE checks DROP COLUMN stopping; "
+             "ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP COLUMN recipe; "
+             "ALTER TABLE checks DROP COLUMN found_rad; PRAGMA user_version = 8");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.systematic = SystematicRecord{1e-9, 0.6, 3.5, true};
@@ -297,9 +296,10 @@ TEST_F(Store, KeepsWhatSchema10SealedVerifiable) {
 
 TEST_F(Store, KeepsWhatSchema12SealedVerifiable) {
   const std::string id = make_check_record().id;
-  make_older(3,
-             "ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP COLUMN recipe; ALTER TABLE checks "
-             "DROP COLUMN found_rad; PRAGMA user_version = 12");
+  make_older(
+      3,
+      "ALTER TABLE checks DROP COLUMN sheet; ALTER TABLE checks DROP COLUMN recipe; ALTER TABLE checks "
+      "DROP COLUMN found_rad; PRAGMA user_version = 12");
   CheckStore store = open();
   CheckRecord later = make_check_record("20261121T000000000Z-00000000");
   later.sheet = support::make_sheet_record();

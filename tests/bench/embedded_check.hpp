@@ -7,7 +7,6 @@
 #include <string>
 #include <utility>
 
-#include "clampd/base/clock.hpp"
 #include "clampd/bench/builtin.hpp"
 #include "clampd/bench/check_conductor.hpp"
 #include "clampd/bench/embedded_station.hpp"
@@ -15,13 +14,16 @@
 #include "drivers/can/can_brake.hpp"
 #include "drivers/can/embedded_bus.hpp"
 #include "drivers/sim/plant_configuration.hpp"
+#include "tests/support/told.hpp"
 
 namespace clampd::bench {
 
-/// Of the shipped brake, or of the same one that is told its speed.
-inline PreparedStation prepared(CommandedQuantity commanded = CommandedQuantity::Torque) {
+/// Of the shipped brake, or of the same one that is told otherwise.
+inline PreparedStation prepared(const Told& told = {}) {
   StationConfiguration configuration;
-  if (commanded == CommandedQuantity::Velocity) {
+  configuration.can.feedback_cycle_ms = configuration.can.command_cycle_ms = 1e3 * told.period_s;
+  configuration.check.method = told.method;
+  if (told.commanded == CommandedQuantity::Velocity) {
     configuration.can.dbc = CLAMPD_SOURCE_DIR "/tests/support/speed_brake.dbc";
     configuration.can.mapping = {{"torque_command", ""},
                                  {"velocity_command", "BrakeCommand.VelocityCommand"}};
@@ -48,15 +50,14 @@ inline CheckRequest request(std::uint32_t repeats) {
 /// Error: the station refuses to begin.
 inline Result<CheckRecord> try_check(const sim::PlantConfiguration& brake, std::uint32_t repeats,
                                      const EmbeddedStation::Progress& progress = nullptr,
-                                     CommandedQuantity commanded = CommandedQuantity::Torque) {
-  EmbeddedStation station(prepared(commanded), brake);
+                                     const Told& told = {}) {
+  EmbeddedStation station(prepared(told), brake);
   return station.run_check(request(repeats), nullptr, progress);
 }
 
 inline CheckRecord check(const sim::PlantConfiguration& brake, std::uint32_t repeats,
-                         const EmbeddedStation::Progress& progress = nullptr,
-                         CommandedQuantity commanded = CommandedQuantity::Torque) {
-  Result<CheckRecord> record = try_check(brake, repeats, progress, commanded);
+                         const EmbeddedStation::Progress& progress = nullptr, const Told& told = {}) {
+  Result<CheckRecord> record = try_check(brake, repeats, progress, told);
   if (!record) throw std::runtime_error("no record of the check: " + record.error().message);
   return *record;
 }
@@ -71,8 +72,8 @@ struct Bench {
 
   void advance() {
     brake.tick(now_ns, 0, 0);
-    core.tick(now_ns + kPeriod_ns / 2, 0, 0);
-    now_ns += kPeriod_ns;
+    core.tick(now_ns + station.codec.period_ns / 2, 0, 0);
+    now_ns += station.codec.period_ns;
   }
   void reach(StationState state) {
     while (core.status().state.load() != state) advance();

@@ -44,7 +44,8 @@ TEST(EmbeddedStation, TwentyRepeatsWithinThirtySecondsOfBenchTime) {
 /// Of a brake whose encoder reads so much at contact, found so far open.
 CheckRecord check_of_clearance(double encoder_zero_rad, double clearance_rad, double force_offset_N) {
   PreparedStation station = prepared();
-  station.configuration.check.diagnose = false;  // which a FAIL would ask for, and which is not what is tested
+  station.configuration.check.diagnose =
+      false;  // which a FAIL would ask for, and which is not what is tested
   station.sheet = parse_sheet(R"(revision = "1"
 [[characteristic]]
 kind = "contact-point"
@@ -73,7 +74,8 @@ TEST(EmbeddedStation, TellsWhereThePadsTouchAndHowFarOpenItFoundTheBrake) {
     EXPECT_NEAR(*record.found_rad, zero_rad - clearance_rad, 1e-3) << "before anything moved";
     ASSERT_TRUE(record.sheet);
     ASSERT_EQ(record.sheet->characteristics.size(), 2U) << record.reason;
-    const CharacteristicRecord &contact = record.sheet->characteristics[0], &open = record.sheet->characteristics[1];
+    const CharacteristicRecord &contact = record.sheet->characteristics[0],
+                               &open = record.sheet->characteristics[1];
     EXPECT_NEAR(contact.value, zero_rad, 4.0 * contact.sd);
     EXPECT_LT(contact.sd, 0.05);
     EXPECT_FALSE(contact.verdict);
@@ -93,7 +95,8 @@ TEST(EmbeddedStation, GoesOnWhileTheClearanceIsInDoubt) {
           .value();
   CheckRequest asked = request(0);
   asked.repeats_auto = true;
-  const CheckRecord record = EmbeddedStation(std::move(station), plant(1)).run_check(asked, nullptr, nullptr).value();
+  const CheckRecord record =
+      EmbeddedStation(std::move(station), plant(1)).run_check(asked, nullptr, nullptr).value();
   EXPECT_EQ(record.runs.size(), 8U) << "it stands where its limit is";
   EXPECT_THAT(record.stopping.value().reason, HasSubstr("clearance in doubt"));
   EXPECT_TRUE(record.marginal);
@@ -381,6 +384,40 @@ TEST(PreparedStation, RefusesFramesThatNoBusOfItsBitRateCarries) {
 
 // Nothing in its frames tells whether they are new, and from some instant on they are the same ones again and
 // again: only the readings contradict what the brake is told to do.
+TEST(EmbeddedStation, ChecksABrakeWithSlowerFrames) {
+  for (const auto& [feedback_ms, command_ms] :
+       {std::pair{2.0, 2.0}, {5.0, 5.0}, {1.0, 2.0}, {0.5, 2.0}, {5.0, 1.0}, {5.0, 0.2}}) {
+    SCOPED_TRACE(fmt::format("readings every {} ms, commands every {} ms", feedback_ms, command_ms));
+    StationConfiguration configuration;
+    configuration.can.feedback_cycle_ms = feedback_ms;
+    configuration.can.command_cycle_ms = command_ms;
+    configuration.check.method = Method::PredictionError;
+    Result<PreparedStation> station = prepare_station(configuration);
+    ASSERT_TRUE(station) << station.error().message;
+    EmbeddedStation embedded(std::move(*station), plant(3));
+    const auto record = embedded.run_check(request(20), nullptr, nullptr);
+    ASSERT_TRUE(record) << record.error().message;
+    EXPECT_EQ(record->verdict, Verdict::Pass) << record->reason;
+    ASSERT_EQ(record->runs.size(), 20U);
+    const double period_ms = std::max(feedback_ms, command_ms);
+    EXPECT_EQ(record->runs.front().run.size(), static_cast<std::size_t>(std::lround(300.0 / period_ms)));
+    for (std::size_t i = 0; i < kParameterCount; ++i) {
+      const double truth = plant(3).brake.theta[static_cast<Eigen::Index>(i)];
+      EXPECT_LT(std::abs(record->parameters[i].value - truth), 4.5 * record->parameters[i].sd)
+          << record->parameters[i].name;
+    }
+  }
+}
+
+/// A tare of a load cell that has drifted beyond what its signal tells would be none.
+TEST(EmbeddedStation, AForceThatItsSignalCannotTellIsAnError) {
+  sim::PlantConfiguration brake = plant(1);
+  brake.spoiled = {{sim::Reading::Force, sim::Spoil::Offset, -4100.0, 0.05}};
+  const CheckRecord record = check(brake, 20);
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_THAT(record.reason, HasSubstr("stand at the end of a signal's range"));
+}
+
 TEST(EmbeddedStation, FramesThatAreSentAgainAndAgainEndACheck) {
   StationConfiguration configuration;
   configuration.can.mapping = kWithoutClockAndCounter;

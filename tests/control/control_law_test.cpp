@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include <gtest/gtest.h>
 
@@ -58,7 +59,8 @@ TEST(ControlLaw, StifferPadsHaveTheForceEarlierAndAreMovedSlower) {
   const NominalDrive drive;
   const StiffnessCurve stiffer = stiffer_pads(drive);
   const ReferenceRow row = closing_row();
-  const double position_rad = stiffer.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2);
+  const double position_rad =
+      stiffer.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2, 6.0);
   ASSERT_LT(position_rad, row.position_rad);
   // dF/dt of the reference at the stiffer pads' slope.
   const double velocity_rad_s = row.stiffness_N_rad * row.velocity_rad_s / stiffer.slope_N_rad(position_rad);
@@ -114,23 +116,27 @@ TEST(SpeedLaw, StifferPadsAreMovedSlowerByTheSameShareAsByTorque) {
   const NominalDrive drive;
   const StiffnessCurve stiffer = stiffer_pads(drive);
   const ReferenceRow row = closing_row();
-  const double position_rad = stiffer.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2);
+  const double position_rad =
+      stiffer.position_for(row.force_N, row.position_rad, drive.quadratic_N_rad2, 6.0);
   const double velocity_rad_s = row.stiffness_N_rad * row.velocity_rad_s / stiffer.slope_N_rad(position_rad);
   ASSERT_LT(velocity_rad_s, row.velocity_rad_s);
   EXPECT_NEAR(tracking_velocity_rad_s(row, row, drive, {.position_rad = position_rad}, stiffer),
               velocity_rad_s, 1e-9);
 }
 
-// Of a drive that follows exactly, one sample late.
+// Of a drive that follows exactly, one sample late; of every period that a brake's frames may have.
 TEST(SpeedLaw, AMoveEndsAtItsTargetWithoutOvershootAndNeverBeyondItsSpeed) {
-  for (const double target_rad : {40.0, -7.0}) {
+  for (const auto& [target_rad, period_s] :
+       {std::pair{40.0, 1e-3}, {-7.0, 1e-3}, {40.0, 2e-3}, {40.0, 5e-3}, {-7.0, 5e-3}}) {
+    SCOPED_TRACE(period_s);
+    const NominalDrive drive{.period_s = period_s};
     MotionState motion;
     double command_rad_s = 0.0, fastest_rad_s = 0.0, furthest = 0.0;
-    for (int k = 0; k < 500; ++k) {
+    for (int k = 0; k * period_s < 1.0; ++k) {
       motion.velocity_rad_s = command_rad_s;
-      motion.position_rad += kPeriod_s * motion.velocity_rad_s;
-      command_rad_s =
-          ramped_velocity_rad_s(move_velocity_rad_s(target_rad, 220.0, motion), command_rad_s, 4000.0);
+      motion.position_rad += period_s * motion.velocity_rad_s;
+      command_rad_s = ramped_velocity_rad_s(move_velocity_rad_s(target_rad, 220.0, drive, motion),
+                                            command_rad_s, 4000.0, drive);
       fastest_rad_s = std::max(fastest_rad_s, std::abs(command_rad_s));
       furthest = std::max(furthest, motion.position_rad / target_rad);
     }
@@ -143,11 +149,13 @@ TEST(SpeedLaw, AMoveEndsAtItsTargetWithoutOvershootAndNeverBeyondItsSpeed) {
 }
 
 TEST(SpeedLaw, FasterGoesByARampAndSlowerAtOnce) {
-  EXPECT_EQ(ramped_velocity_rad_s(220.0, 100.0, 4000.0), 104.0);
-  EXPECT_EQ(ramped_velocity_rad_s(-220.0, -100.0, 4000.0), -104.0);
-  EXPECT_EQ(ramped_velocity_rad_s(50.0, 100.0, 4000.0), 50.0);
-  EXPECT_EQ(ramped_velocity_rad_s(0.0, -100.0, 4000.0), 0.0);
-  EXPECT_EQ(ramped_velocity_rad_s(-220.0, 100.0, 4000.0), -4.0) << "through zero, and from there by the ramp";
+  EXPECT_EQ(ramped_velocity_rad_s(220.0, 100.0, 4000.0, {}), 104.0);
+  EXPECT_EQ(ramped_velocity_rad_s(-220.0, -100.0, 4000.0, {}), -104.0);
+  EXPECT_EQ(ramped_velocity_rad_s(50.0, 100.0, 4000.0, {}), 50.0);
+  EXPECT_EQ(ramped_velocity_rad_s(0.0, -100.0, 4000.0, {}), 0.0);
+  EXPECT_EQ(ramped_velocity_rad_s(220.0, 100.0, 4000.0, {.period_s = 5e-3}), 120.0);
+  EXPECT_EQ(ramped_velocity_rad_s(-220.0, 100.0, 4000.0, {}), -4.0)
+      << "through zero, and from there by the ramp";
 }
 
 TEST(SpeedLaw, LimitsComeLastAndAlwaysGiveAFiniteSpeed) {

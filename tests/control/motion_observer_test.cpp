@@ -44,5 +44,18 @@ TEST(MotionObserver, LearnsWhatTheFrictionExceedsTheNominalOneBy) {
   EXPECT_NEAR(observer.velocity_rad_s(), velocity_rad_s, 1.0);
 }
 
+TEST(MotionObserver, PredictsASlowSampleAsItsMilliseconds) {
+  const NominalDrive slow{.period_s = 5e-3}, fast;
+  for (const double torque_Nm : {0.9, -1.2, 0.2}) {
+    MotionObserver once, often;
+    for (MotionObserver* observer : {&once, &often})
+      observer->reset({.position_rad = 3.0, .velocity_rad_s = 20.0, .friction_excess_Nm = 0.02});
+    once.predict(slow, torque_Nm, 4e3);
+    for (int k = 0; k < 5; ++k) often.predict(fast, torque_Nm, 4e3);
+    EXPECT_NEAR(once.velocity_rad_s(), often.velocity_rad_s(), 1e-9);
+    EXPECT_NEAR(once.position_rad(), often.position_rad(), 1e-9);
+  }
+}
+
 }  // namespace
 }  // namespace clampd

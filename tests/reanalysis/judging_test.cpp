@@ -215,16 +215,18 @@ TEST_F(ArchiveJudging, KnowsNoClearanceWhereTheRecordDoesNotSayWhereTheBrakeWasF
   publish(automatic_checks());
   ask("UPDATE clampd.checks SET found_rad = NULL WHERE serial = 'AUTO-0002'");
   Task limited = task();
-  limited.sheet = parse_sheet("revision = \"1\"\n[[characteristic]]\nkind = \"clearance\"\nunit = \"rad\"\nupper = 9\n",
-                              "sheet.toml")
-                      .value();
+  limited.sheet =
+      parse_sheet("revision = \"1\"\n[[characteristic]]\nkind = \"clearance\"\nunit = \"rad\"\nupper = 9\n",
+                  "sheet.toml")
+          .value();
   const std::vector<json> documents = judged(limited);
   const json& known = documents[0]["sheet"]["characteristics"][0];
   EXPECT_NEAR(known["value"], 6.0, 4.0 * known["sd"].get<double>()) << "of the simulated brake";
   EXPECT_EQ(known["verdict"], "pass");
   const json& unknown = documents[1]["sheet"]["characteristics"][0];
   EXPECT_TRUE(unknown["value"].is_null());
-  EXPECT_THAT(unknown["why"].get<std::string>(), HasSubstr("where the check found the brake is not on record"));
+  EXPECT_THAT(unknown["why"].get<std::string>(),
+              HasSubstr("where the check found the brake is not on record"));
   EXPECT_EQ(documents[1]["verdict"], "ERROR");
 }
 

@@ -138,7 +138,7 @@ TEST(FinerGrid, TicksOncePerPeriodAndRepeatsInBetween) {
   clock.late_by = {0, 5, 0, 7, 0, kQuarter_ns + 9, 0, 0, 11, 3 * kQuarter_ns + 13, 0, 10 * kQuarter_ns + 1};
   std::atomic<bool> stop{false};
   Repeater core{{clock, stop, 5, {}, {}}, {}};
-  FinerGrid<Repeater> grid(core, 4);
+  FinerGrid<Repeater> grid(core, 4, kPeriod_ns / 4);
   LoopStatistics statistics;
   run_cyclic(clock, grid, stop, statistics, kQuarter_ns);
   const std::vector<Call>& calls = core.recorder.calls;

@@ -28,7 +28,7 @@ constexpr double kFar_sd =
 /// The simulated brake as the station's port: what a bus would carry, without the bus.
 class DirectPort final : public BrakePort {
  public:
-  explicit DirectPort(const sim::PlantConfiguration& plant) : brake(plant) {}
+  DirectPort(const sim::PlantConfiguration& plant, std::int64_t period_ns) : brake(plant, period_ns) {}
   std::size_t receive(std::span<BrakeFeedback> out, std::int64_t now_ns) noexcept override {
     last = brake.sample();
     out[0] = last;
@@ -135,8 +135,8 @@ void count(SpoilTally& tally, const sim::SpoiledReading& spoiled, const CheckOut
 }
 
 /// What the supervisor lets pass, the estimate has to notice: the same brake in a whole check.
-std::string judge(SpoilTally& tally, const sim::PlantConfiguration& plant, CommandedQuantity commanded) {
-  const Result<CheckRecord> checked = bench::try_check(plant, 20, nullptr, commanded);
+std::string judge(SpoilTally& tally, const sim::PlantConfiguration& plant, const Told& told) {
+  const Result<CheckRecord> checked = bench::try_check(plant, 20, nullptr, told);
   if (!checked) {
     ++tally.errors;
     return "refused: " + checked.error().message;
@@ -173,13 +173,18 @@ double quantile(std::vector<double> values, double share) {
 }  // namespace
 
 CheckOutcome drive_check(const sim::PlantConfiguration& plant, const Reference& reference,
-                         std::uint16_t repeats, CommandedQuantity commanded) {
-  DirectPort port(plant);
-  rt::ControlCore core(port, {}, 16);
+                         std::uint16_t repeats, const Told& told) {
+  const std::int64_t period_ns = std::llround(1e9 * told.period_s);
+  DirectPort port(plant, period_ns);
+  rt::SupervisorSettings supervised;
+  supervised.drive = nominal_drive(BrakeParameters{}, told.period_s);
+  supervised.stale_ns = 5 * period_ns / 2;
+  supervised.clock_tolerance_ns = period_ns / 5;
+  rt::ControlCore core(port, supervised, 16);
   rt::CheckPlan plan;
-  plan.commanded = commanded;
+  plan.commanded = told.commanded;
   plan.reference = reference;
-  plan.drive = nominal_drive(BrakeParameters{});
+  plan.drive = supervised.drive;
   plan.repeats = repeats;
   const Reading reading = plant.spoiled.empty() ? Reading::Force : plant.spoiled.front().reading;
   CheckOutcome outcome;
@@ -188,8 +193,8 @@ CheckOutcome drive_check(const sim::PlantConfiguration& plant, const Reference& 
   double end_s = 0.0;
   bool asked = false;
   Sample sample;
-  for (int k = 0; k < kLongest && (end_s == 0.0 || k * kPeriod_s < end_s); ++k) {
-    now_ns += kPeriod_ns;
+  for (int k = 0; k < kLongest && (end_s == 0.0 || k * told.period_s < end_s); ++k) {
+    now_ns += period_ns;
     core.tick(now_ns, 0, 0);
     const rt::StatusBoard& status = core.status();
     if (!asked && status.state == StationState::Idle) {
@@ -207,10 +212,10 @@ CheckOutcome drive_check(const sim::PlantConfiguration& plant, const Reference& 
       outcome.fault = status.fault;
       outcome.fault_s = truth.time_s;
       outcome.duration_s = truth.time_s;
-      end_s = k * kPeriod_s + kAfter_s;
+      end_s = k * told.period_s + kAfter_s;
     }
     if (end_s > 0.0 && truth.torque_Nm != 0.0)
-      outcome.torque_after_fault_s = truth.time_s + kPeriod_s - outcome.fault_s;
+      outcome.torque_after_fault_s = truth.time_s + told.period_s - outcome.fault_s;
   }
   outcome.deviation = deviation.worst_rms() / noise(reading, plant.sensors);
   return outcome;
@@ -273,11 +278,11 @@ bool names(FaultCause cause, Reading reading) {
   return false;
 }
 
-SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged, CommandedQuantity commanded) {
-  const Reference reference = shipped_reference();
+SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged, const Told& told) {
+  const Reference reference = shipped_reference(told.period_s);
   const rt::SupervisorSettings limits;
   constexpr std::uint16_t kRepeats = 3;
-  const double duration_s = drive_check(noisy_plant(), reference, kRepeats, commanded).duration_s;
+  const double duration_s = drive_check(noisy_plant(), reference, kRepeats, told).duration_s;
   std::mt19937_64 random(seed);
   SpoilCampaign campaign;
   for (int i = 0; i < checks; ++i) {
@@ -289,7 +294,7 @@ SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged, Com
     const sim::SpoiledReading spoiled = gross_spoil(reading, spoil, duration_s, random);
     plant.spoiled = {spoiled};
     plant.speed_loop_is_spoiled = i % 2 == 0;
-    const CheckOutcome outcome = drive_check(plant, reference, kRepeats, commanded);
+    const CheckOutcome outcome = drive_check(plant, reference, kRepeats, told);
     SpoilTally& each = campaign.each[static_cast<std::size_t>(reading)][static_cast<std::size_t>(spoil)];
     const int before =
         campaign.all.unsafe + campaign.all.undetected + campaign.all.faults - campaign.all.named;
@@ -299,7 +304,7 @@ SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged, Com
       campaign.remarks.push_back(describe(spoiled, outcome));
     if (outcome.fault != FaultCause::None || judged-- <= 0) continue;
     const int errors = each.errors, wrong = each.wrong;
-    const std::string verdict = judge(each, plant, commanded);
+    const std::string verdict = judge(each, plant, told);
     campaign.all.errors += each.errors - errors;
     campaign.all.wrong += each.wrong - wrong;
     campaign.remarks.push_back(describe(spoiled, outcome) + ": " + verdict);
@@ -307,14 +312,14 @@ SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged, Com
   return campaign;
 }
 
-HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed, CommandedQuantity commanded) {
+HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed, const Told& told) {
   const Run trajectory = shipped_trajectory();
-  std::vector<std::pair<std::string, Reference>> references{{"shipped", shipped_reference()}};
-  for (const ManoeuvreInfo& info : manoeuvres())
-    references.emplace_back(
-        info.name,
-        build_reference(make_manoeuvre(info.name, BrakeParameters{}, trajectory).value(), BrakeParameters{})
-            .value());
+  std::vector<std::pair<std::string, Reference>> references{{"shipped", shipped_reference(told.period_s)}};
+  for (const ManoeuvreInfo& info : manoeuvres()) {
+    const Run run = make_manoeuvre(info.name, BrakeParameters{}, trajectory).value();
+    const Result<Reference> reference = build_reference(run, BrakeParameters{}, {.period_s = told.period_s});
+    if (reference) references.emplace_back(info.name, *reference);
+  }
   constexpr double lower[] = {0.80, 0.89, 1.0, 0.92, 1.0, 0.875, 0.38};
   constexpr double upper[] = {1.0, 1.0, 1.67, 1.0, 2.45, 1.05, 1.0};
   const std::pair<const char*, double> effects[] = {
@@ -356,7 +361,7 @@ HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed, CommandedQu
     }
     const auto& [name, reference] =
         kind >= 6 ? references[static_cast<std::size_t>(i / 8) % references.size()] : references.front();
-    const CheckOutcome outcome = drive_check(plant, reference, kind >= 6 ? 1 : 2, commanded);
+    const CheckOutcome outcome = drive_check(plant, reference, kind >= 6 ? 1 : 2, told);
     ++campaign.checks;
     if (outcome.fault != FaultCause::None)
       campaign.faults.push_back(fmt::format("{} ({}): {} in {} at {:.3f} s", what, name,

@@ -14,6 +14,7 @@
 #include "clampd/record/sample.hpp"
 #include "drivers/sim/plant_configuration.hpp"
 #include "rt/supervisor.hpp"
+#include "tests/support/told.hpp"
 
 namespace clampd::scenario {
 
@@ -32,7 +33,7 @@ struct CheckOutcome {
 
 /// Drives one check to its end, and on for 0.3 s, so that the brake comes to rest.
 CheckOutcome drive_check(const sim::PlantConfiguration& plant, const Reference& reference,
-                         std::uint16_t repeats, CommandedQuantity commanded = CommandedQuantity::Torque);
+                         std::uint16_t repeats, const Told& told = {});
 
 /// A brake as wide as Table II with the noisiest sensors.
 sim::PlantConfiguration table_ii_brake(std::mt19937_64& random);
@@ -69,17 +70,16 @@ struct SpoilCampaign {
 /// `checks` checks, reading and kind in turn, everything else random from `seed`. Of those that no fault
 /// ends, the first `judged` are followed to their verdict, which takes seconds each: their runs are
 /// diagnosed. Of brakes that are told their speed, the loop of every other one sees what is spoiled, too.
-SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged,
-                                 CommandedQuantity commanded = CommandedQuantity::Torque);
+SpoilCampaign run_spoil_campaign(int checks, std::uint64_t seed, int judged, const Told& told = {});
 
 struct HealthyCampaign {
   int checks = 0;
   std::vector<std::string> faults;
 };
 
-/// `checks` healthy checks of all sorts of brakes; each of them that ends in a fault is named.
-HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed,
-                                     CommandedQuantity commanded = CommandedQuantity::Torque);
+/// `checks` healthy checks of all sorts of brakes, along all manoeuvres that can be replayed at this period;
+/// each of them that ends in a fault is named.
+HealthyCampaign run_healthy_campaign(int checks, std::uint64_t seed, const Told& told = {});
 
 void print(std::ostream& out, const SpoilCampaign& campaign);
 

@@ -18,8 +18,8 @@ inline std::string config(const std::string& name) {
 inline Run shipped_trajectory() {
   return read_run(config("trajectory.csv")).value().run;
 }
-inline Reference shipped_reference() {
-  return build_reference(shipped_trajectory(), BrakeParameters{}).value();
+inline Reference shipped_reference(double period_s = kPeriod_s) {
+  return build_reference(shipped_trajectory(), BrakeParameters{}, {.period_s = period_s}).value();
 }
 inline sim::PlantConfiguration shipped_plant() {
   return sim::read_plant_configuration(config("plant.toml")).value();

@@ -39,6 +39,25 @@ TEST_F(ReferenceTest, ShippedTrajectoryHasHeadroomForOtherBrakes) {
   EXPECT_GT(force_max_N, 10e3);
 }
 
+TEST_F(ReferenceTest, ASlowStationTakesEachOfItsRowsFromTheTrajectory) {
+  for (const std::size_t per_period : {2u, 5u}) {
+    options_.period_s = 1e-3 * static_cast<double>(per_period);
+    const auto reference = build_reference(run_, brake_, options_);
+    ASSERT_TRUE(reference) << reference.error().message;
+    ASSERT_EQ(reference->rows.size(), 300 / per_period);
+    for (std::size_t k = 0; k < reference->rows.size(); ++k) {
+      EXPECT_EQ(reference->rows[k].torque_Nm, run_.torque_Nm[k * per_period]);
+      EXPECT_EQ(reference->rows[k].position_rad, run_.position_rad[k * per_period]);
+    }
+  }
+}
+
+TEST_F(ReferenceTest, ATorqueThatASlowStationCannotReplayIsRefused) {
+  options_.period_s = 8e-3;
+  refused("row 20: the torque changes within the station's period of 8 ms");
+  refused("clampctl design --block 16");
+}
+
 TEST_F(ReferenceTest, StiffnessIsTheSlopeOfTheForce) {
   const auto reference = build_reference(run_, brake_);
   ASSERT_TRUE(reference.has_value());

@@ -46,7 +46,7 @@ struct SpeedCheck {
 
 TEST(SpeedCommand, AWholeCheckPassesAndFindsTheTruth) {
   const sim::PlantConfiguration plant = bench::plant(1);
-  const CheckRecord record = bench::check(plant, 6, nullptr, kVelocity);
+  const CheckRecord record = bench::check(plant, 6, nullptr, {kVelocity});
   EXPECT_EQ(record.verdict, Verdict::Pass) << record.reason;
   EXPECT_EQ(record.runs.size(), 6U);
   EXPECT_EQ(record.timing.lost_samples, 0U);
@@ -152,7 +152,7 @@ TEST(SpeedCommand, AWholeCheckTakesNothingFromTheHeap) {
 }
 
 TEST(SpeedCommand, AnEmergencyStopWithinARunEndsTheTorqueNotOnlyTheMotion) {
-  bench::Bench bench(bench::plant(1), WorkerMode::Synchronous, nullptr, bench::prepared(kVelocity));
+  bench::Bench bench(bench::plant(1), WorkerMode::Synchronous, nullptr, bench::prepared({kVelocity}));
   bench.reach(StationState::Idle);
   ASSERT_TRUE(bench.begin(4));
   const rt::StatusBoard& status = bench.core.status();
@@ -172,26 +172,26 @@ TEST(SpeedCommand, AnEmergencyStopWithinARunEndsTheTorqueNotOnlyTheMotion) {
 TEST(SpeedCommand, ABrakeThatDoesNotTakeItUpIsNamed) {
   sim::PlantConfiguration deaf = shipped_plant();
   deaf.speed_bandwidth_rad_s = 0.0;
-  const CheckOutcome outcome = drive_check(deaf, shipped_reference(), 1, kVelocity);
+  const CheckOutcome outcome = drive_check(deaf, shipped_reference(), 1, {kVelocity});
   EXPECT_EQ(outcome.fault, FaultCause::SpeedNotFollowed);
   EXPECT_LT(outcome.fault_s, 0.2) << "it is ready after some 50 ms";
 
   sim::PlantConfiguration weak = shipped_plant();
   weak.torque_limit_Nm = 0.5;
-  const CheckOutcome too_weak = drive_check(weak, shipped_reference(), 1, kVelocity);
+  const CheckOutcome too_weak = drive_check(weak, shipped_reference(), 1, {kVelocity});
   EXPECT_EQ(too_weak.fault, FaultCause::SpeedNotFollowed) << to_string(too_weak.phase);
 }
 
 /// Its loop has no other encoder: it pushes with all of its torque towards a speed that it never sees.
 TEST(SpeedCommand, AFrozenEncoderNeverRunsAway) {
   const rt::SupervisorSettings limits;
-  const double duration_s = drive_check(shipped_plant(), shipped_reference(), 1, kVelocity).duration_s;
+  const double duration_s = drive_check(shipped_plant(), shipped_reference(), 1, {kVelocity}).duration_s;
   for (int i = 0; i < 120; ++i) {
     sim::PlantConfiguration plant = shipped_plant();
     plant.seed = static_cast<std::uint64_t>(i);
     plant.speed_loop_is_spoiled = i % 2 == 0;
     plant.spoiled = {{sim::Reading::Encoder, sim::Spoil::Frozen, 0.0, duration_s * i / 120.0}};
-    const CheckOutcome outcome = drive_check(plant, shipped_reference(), 1, kVelocity);
+    const CheckOutcome outcome = drive_check(plant, shipped_reference(), 1, {kVelocity});
     const bool at_rest_for_good = plant.spoiled.front().when.at_s > duration_s - 0.05;
     EXPECT_TRUE(outcome.fault != FaultCause::None || at_rest_for_good) << i;
     EXPECT_LT(outcome.speed_max_rad_s, limits.speed_limit_rad_s) << i;
@@ -209,7 +209,7 @@ TEST(SpeedCommand, AForceThatReadsTooLittleNeverClampsTooHard) {
     plant.seed = random();
     const double amount = i % 2 == 0 ? 0.5 : scale(random);
     plant.spoiled = {{sim::Reading::Force, sim::Spoil::Scaled, amount, instant_s(random)}};
-    const CheckOutcome outcome = drive_check(plant, shipped_reference(), 3, kVelocity);
+    const CheckOutcome outcome = drive_check(plant, shipped_reference(), 3, {kVelocity});
     EXPECT_LT(outcome.force_max_N, limits.force_ceiling_N)
         << "times " << amount << " from " << plant.spoiled.front().when.at_s << " s on";
     EXPECT_LT(outcome.speed_max_rad_s, limits.speed_limit_rad_s);
@@ -217,7 +217,7 @@ TEST(SpeedCommand, AForceThatReadsTooLittleNeverClampsTooHard) {
 }
 
 TEST(SpeedCommand, NoReadingThatLiesHarmsAndMostAreNamed) {
-  const SpoilCampaign campaign = run_spoil_campaign(420, 22, 0, kVelocity);
+  const SpoilCampaign campaign = run_spoil_campaign(420, 22, 0, {kVelocity});
   const SpoilTally& all = campaign.all;
   EXPECT_EQ(all.unsafe, 0);
   EXPECT_GE(all.named, 0.85 * all.faults) << "without the torque's command, readings are told less surely";
@@ -227,7 +227,7 @@ TEST(SpeedCommand, NoReadingThatLiesHarmsAndMostAreNamed) {
 }
 
 TEST(SpeedCommand, HealthyBrakesOfAllSortsRaiseNoFault) {
-  for (const std::string& fault : run_healthy_campaign(300, 23, kVelocity).faults) ADD_FAILURE() << fault;
+  for (const std::string& fault : run_healthy_campaign(300, 23, {kVelocity}).faults) ADD_FAILURE() << fault;
 }
 
 }  // namespace

@@ -139,7 +139,7 @@ TEST_F(Tracking, ADesignForesaysWhatTheLoopThenDoes) {
     for (int i = 0; i < 7; ++i) plant.brake.theta[i] *= factor[i];
     const SimulatedCheck result = check(plant, 3);
     TrackedRun foreseen;
-    ClosedLoop(BrakeParameters{}, 3.0).track(reference_, plant.brake, foreseen);
+    ClosedLoop(NominalDrive{}, 3.0).track(reference_, plant.brake, foreseen);
     ASSERT_TRUE(foreseen.bounded);
     const std::vector<double>& torque_Nm = result.runs.back().readings.torque_Nm;
     double squares_Nm2 = 0.0, largest_Nm = 0.0;

@@ -45,8 +45,8 @@ std::vector<CharacteristicKind> kinds_of_parameters() {
   return kinds;
 }
 
-/// Of a brake whose encoder has its zero far away, with a contact point that is known to a few milliradians, and that
-/// was found 6 rad open.
+/// Of a brake whose encoder has its zero far away, with a contact point that is known to a few milliradians,
+/// and that was found 6 rad open.
 Posterior posterior_with_contact() {
   Posterior posterior = good_posterior();
   posterior.contact.position_rad = 1e4;

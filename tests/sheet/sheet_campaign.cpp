@@ -29,8 +29,8 @@ namespace {
 
 constexpr double kGuardBand = 2.0;
 
-/// Where its encoder stands at contact, how well it reads, and how far open the check finds the brake: most as another
-/// station leaves them, some anywhere, clamped ones too.
+/// Where its encoder stands at contact, how well it reads, and how far open the check finds the brake: most
+/// as another station leaves them, some anywhere, clamped ones too.
 void draw_place(Draws& draws, sim::PlantConfiguration& plant) {
   plant.encoder_zero_rad = 1e4 + draws.uniform(-1.0, 1.0);
   plant.sensors.position_noise_rad = draws.log_uniform(1e-4, 5e-3);
@@ -89,7 +89,8 @@ void count(CharacteristicCount& counts, const Characteristic& line, const Charac
   (is_marginal ? counts.marginal_wrong : counts.decided_wrong) += is_wrong;
 }
 
-/// Takes off what a tare of half a second with these sensors gets wrong, and puts the encoder back to where it stands.
+/// Takes off what a tare of half a second with these sensors gets wrong, and puts the encoder back to where
+/// it stands.
 Tare tare_and_place(Draws& draws, const sim::PlantConfiguration& plant, std::vector<Run>& runs) {
   const Tare tare{.samples = 500,
                   .force_sd_N = plant.sensors.force_noise_N,

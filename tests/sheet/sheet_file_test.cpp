@@ -137,8 +137,10 @@ upper = 8
     const Result<Sheet> read = parse_sheet(text.replace(text.find(from), from.size(), to), "sheet.toml");
     return read ? std::string("none") : read.error().message;
   };
-  EXPECT_THAT(refused("unit = \"rad\"", "unit = \"deg\""), HasSubstr("sheet.toml:4:8: contact-point is in rad, not in deg"));
-  EXPECT_THAT(refused("lower = 4", "lower = 4\nclearance_rad = 6"), HasSubstr("sheet.toml:10:1: unknown key clearance_rad"));
+  EXPECT_THAT(refused("unit = \"rad\"", "unit = \"deg\""),
+              HasSubstr("sheet.toml:4:8: contact-point is in rad, not in deg"));
+  EXPECT_THAT(refused("lower = 4", "lower = 4\nclearance_rad = 6"),
+              HasSubstr("sheet.toml:10:1: unknown key clearance_rad"));
   EXPECT_THAT(refused("lower = 4", "lower = 4\nforce_N = 20000"), HasSubstr("unknown key force_N"));
   EXPECT_THAT(refused("upper = 8", "upper = 8000"), HasSubstr("upper = 8000 rad cannot be meant"));
 }

@@ -70,7 +70,8 @@ TEST(RunCollector, KeepsWhereTheCheckFoundTheBrake) {
   samples[first].position_rad = std::nan("");
   RunCollector without(kRows);
   collect(without, samples);
-  EXPECT_FALSE(without.found_rad()) << "a reading that is none, and a later one would be of a brake that moves";
+  EXPECT_FALSE(without.found_rad())
+      << "a reading that is none, and a later one would be of a brake that moves";
 }
 
 TEST(RunCollector, EstimatesTheNoiseAtRest) {

@@ -560,7 +560,7 @@ upper = 8
       sample.force_N = stiffness.force_N(x);
     }
   const Estimator estimator = [find = finds(nominal_parameters())](std::span<const clampd::Run> runs,
-                                                                  const EstimatorOptions& options) {
+                                                                   const EstimatorOptions& options) {
     Estimate estimate = find(runs, options);
     estimate.initial_states.assign(runs.size(), Eigen::Vector2d(0.2, 0.0));
     return estimate;

@@ -154,7 +154,8 @@ unit = "rad"
     EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {}), 0);
     judgement.parameters[0].verdict = ParameterVerdict::Marginal;
     EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {}), 1)
-        << "friction is in doubt too, and that it tells nothing of the encoder is no reason against a run for it";
+        << "friction is in doubt too, and that it tells nothing of the encoder is no reason against a run "
+           "for it";
   }
   for (RunRecord& record : runs_) record.run.position_rad.clear();
   Judgement judgement = good();

@@ -409,7 +409,7 @@ TEST_F(VehicleCanCheck, LogsThatDoNotFitAreToldFromBrakesThatDoNot) {
     EXPECT_THAT(
         slow.output,
         HasSubstr("comes every 10.00 ms; the station needs a sample every 1 ms: have the brake send it so "
-                  "often ([can] feedback_cycle_ms takes 1, 0.5, 0.25 and 0.2)"));
+                  "often ([can] feedback_cycle_ms takes 5, 2, 1, 0.5, 0.25 and 0.2)"));
   }
   const std::string toyota = file("toyota_2017_ref_pt.dbc");
   expect_problem(check(toyota, kToyota, {.spacing_ms = 0.2}), toyota,

@@ -272,9 +272,11 @@ TEST_F(CommandLine, TellsWhatASheetAsksForFromRunsOnDisk) {
     EXPECT_FALSE(sheet[i].at("misfit_marked"));
   }
   EXPECT_EQ(sheet[9].at("kind"), "contact-point");
-  EXPECT_NEAR(sheet[9].at("value"), 0.0, 4.0 * sheet[9].at("sd").get<double>()) << "simulated runs count from there";
+  EXPECT_NEAR(sheet[9].at("value"), 0.0, 4.0 * sheet[9].at("sd").get<double>())
+      << "simulated runs count from there";
   EXPECT_TRUE(sheet[10].at("value").is_null());
-  EXPECT_THAT(sheet[10].at("why").get<std::string>(), HasSubstr("where the check found the brake is not on record"));
+  EXPECT_THAT(sheet[10].at("why").get<std::string>(),
+              HasSubstr("where the check found the brake is not on record"));
   EXPECT_EQ(sheet[6].at("kind"), "holding-margin");
   EXPECT_NEAR(sheet[6].at("value"), 0.2308, 4.0 * sheet[6].at("sd").get<double>()) << "of the nominal brake";
   // Without one the document is as it was.

@@ -57,7 +57,8 @@ Result<Jobs> open_jobs(const CommonOptions& common, bool may_migrate) {
 Result<reanalysis::Task> task_of(const ArchiveOptions& options, const StationConfiguration& configuration) {
   reanalysis::Task task;
   task.nominal = configuration.model;
-  task.tare_samples = static_cast<std::uint64_t>(std::lround(configuration.check.tare_s / kPeriod_s));
+  task.tare_samples =
+      static_cast<std::uint64_t>(std::lround(configuration.check.tare_s / configuration.can.period_s()));
   task.kind = options.diagnose        ? reanalysis::Task::Kind::Diagnose
               : options.score_effects ? reanalysis::Task::Kind::ScoreEffects
                                       : reanalysis::Task::Kind::Identify;

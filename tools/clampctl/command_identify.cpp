@@ -9,6 +9,7 @@
 #include "clampd/base/json.hpp"
 #include "clampd/brake/extended_brake.hpp"
 #include "clampd/drive/model.hpp"
+#include "clampd/experiment/reference.hpp"
 #include "clampd/identify/extended_identification.hpp"
 #include "clampd/identify/profile.hpp"
 #include "clampd/identify/systematic_misfit.hpp"
@@ -50,9 +51,10 @@ SheetRecord judged_sheet(const Sheet& sheet, const Estimate& summary, const std:
   Posterior posterior =
       is_marked ? posterior_of(summary, misfit.covariance_normalised) : posterior_of(summary);
   posterior.contact = contact_point(runs, summary);
-  return {sheet.file, sheet.revision, sheet.sha256, is_marked,
-          judge_sheet(sheet.characteristics, evaluate(sheet.characteristics, posterior, nominal),
-                      LimitSet{}.guard_band_k)};
+  return {
+      sheet.file, sheet.revision, sheet.sha256, is_marked,
+      judge_sheet(sheet.characteristics, evaluate(sheet.characteristics, posterior, nominal_drive(nominal)),
+                  LimitSet{}.guard_band_k)};
 }
 
 /// Beyond this correlation two parameters are hard to tell apart.

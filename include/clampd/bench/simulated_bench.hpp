@@ -1,8 +1,8 @@
 #pragma once
 
 #include <cstdint>
+#include <numeric>
 
-#include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/bench/prepared_station.hpp"
 #include "clampd/simulation/plant.hpp"
@@ -18,15 +18,15 @@ namespace clampd::bench {
 template <class Brake, class Core>
 CLAMPD_REALTIME void simulate_period(Brake& brake, Core& core, const can::ProtocolCodec& codec,
                                      std::int64_t begin_ns, std::int64_t lateness_ns) noexcept {
-  constexpr int kParts = 20;  // all of can::kFramesPerPeriod divide it
-  const int between_samples = kParts / codec.samples_per_period;
-  const int between_commands = kParts / codec.commands_per_period;
-  for (int part = 0; part < kParts; ++part) {
-    const std::int64_t now_ns = begin_ns + part * (kPeriod_ns / kParts);
+  const int parts = 2 * std::lcm(codec.samples_per_period, codec.commands_per_period);
+  const int between_samples = parts / codec.samples_per_period;
+  const int between_commands = parts / codec.commands_per_period;
+  for (int part = 0; part < parts; ++part) {
+    const std::int64_t now_ns = begin_ns + part * codec.period_ns / parts;
     if (part % between_samples == 0) brake.tick(now_ns, 0, 0);
-    if (part == kParts / 2)
+    if (part == parts / 2)
       core.tick(now_ns, lateness_ns, 0);
-    else if ((part + kParts / 2) % between_commands == 0)
+    else if ((part + parts / 2) % between_commands == 0)
       core.between(now_ns);
   }
 }
@@ -47,8 +47,9 @@ class SimulatedBench {
     Loop(SimulatedBench& bench, rt::ControlCore& core) : bench_(bench), core_(core) {}
     CLAMPD_REALTIME void tick(std::int64_t now_ns, std::int64_t lateness_ns,
                               std::uint64_t /*skipped_periods*/) noexcept {
-      bench_.clock_ns_ = bench_.clock_ns_ == 0 ? now_ns : bench_.clock_ns_ + kPeriod_ns;
-      simulate_period(bench_.brake_, core_, bench_.codec_, bench_.clock_ns_ - kPeriod_ns / 2, lateness_ns);
+      bench_.clock_ns_ = bench_.clock_ns_ == 0 ? now_ns : bench_.clock_ns_ + bench_.codec_.period_ns;
+      simulate_period(bench_.brake_, core_, bench_.codec_, bench_.clock_ns_ - bench_.codec_.period_ns / 2,
+                      lateness_ns);
     }
     CLAMPD_REALTIME void shutdown(std::int64_t /*now_ns*/) noexcept { core_.shutdown(bench_.clock_ns_); }
 

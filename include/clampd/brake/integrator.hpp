@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 
 #include "clampd/brake/dynamics.hpp"
@@ -87,6 +88,14 @@ BrakeState advance(const Model& model, BrakeState state, double torque_Nm, doubl
     left_s -= time;
     if (!(left_s > 0.0)) return state;
   }
+  return state;
+}
+
+/// The same for a torque that is held for longer, in as few equal steps as that accuracy takes.
+template <class Model>
+BrakeState advance_over(const Model& model, BrakeState state, double torque_Nm, double time_s) noexcept {
+  const int steps = std::max(1, static_cast<int>(std::ceil(time_s / kMaxStep_s - 1e-6)));
+  for (int i = 0; i < steps; ++i) state = advance(model, state, torque_Nm, time_s / steps);
   return state;
 }
 

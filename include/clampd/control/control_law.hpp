@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/control/motion_observer.hpp"
 #include "clampd/control/nominal_drive.hpp"
@@ -58,13 +57,14 @@ CLAMPD_REALTIME double tracking_velocity_rad_s(const ReferenceRow& row, const Re
 
 /// Of move_torque_Nm(): the speed along the same square root.
 CLAMPD_REALTIME double move_velocity_rad_s(double target_rad, double speed_limit_rad_s,
-                                           const MotionState& predicted) noexcept;
+                                           const NominalDrive& drive, const MotionState& predicted) noexcept;
 
 /// `velocity_rad_s`, but no more than `acceleration_rad_s2` allows after `before_rad_s`, the command before:
 /// the brake's own loop would answer a step with all of its torque. Slower is allowed at once.
 CLAMPD_REALTIME inline double ramped_velocity_rad_s(double velocity_rad_s, double before_rad_s,
-                                                    double acceleration_rad_s2) noexcept {
-  const double step_rad_s = acceleration_rad_s2 * kPeriod_s;
+                                                    double acceleration_rad_s2,
+                                                    const NominalDrive& drive) noexcept {
+  const double step_rad_s = acceleration_rad_s2 * drive.period_s;
   return std::clamp(velocity_rad_s, std::min(before_rad_s, 0.0) - step_rad_s,
                     std::max(before_rad_s, 0.0) + step_rad_s);
 }
@@ -75,7 +75,7 @@ CLAMPD_REALTIME inline double stop_force_N(double velocity_rad_s, double force_N
                                            double torque_limit_Nm, const NominalDrive& drive) noexcept {
   if (!(velocity_rad_s > 0.0)) return force_N;
   const double braking_rad_s2 = torque_limit_Nm / drive.inertia_kg_m2;
-  const double stop_rad = velocity_rad_s * (kPeriod_s + 0.5 * velocity_rad_s / braking_rad_s2);
+  const double stop_rad = velocity_rad_s * (drive.period_s + 0.5 * velocity_rad_s / braking_rad_s2);
   return force_N + slope_N_rad * stop_rad;
 }
 
@@ -84,11 +84,14 @@ CLAMPD_REALTIME inline double stop_force_N(double velocity_rad_s, double force_N
 CLAMPD_REALTIME inline double limited_torque_Nm(double torque_Nm, const ControlLimits& limits,
                                                 const NominalDrive& drive, double velocity_rad_s,
                                                 double force_N, double slope_N_rad) noexcept {
-  constexpr double kSpeedMargin_rad_s = 15.0;  // over which the torque fades before the speed limit
+  // Over which the torque fades before the speed limit: all of it adds no more than that in a period.
+  constexpr double kSpeedMargin_rad_s = 15.0;
   if (!std::isfinite(torque_Nm)) return 0.0;
   if (torque_Nm * velocity_rad_s > 0.0) {
+    const double margin_rad_s =
+        std::max(kSpeedMargin_rad_s, limits.torque_Nm * drive.period_s / drive.inertia_kg_m2);
     const double share =
-        std::clamp((limits.velocity_rad_s - std::abs(velocity_rad_s)) / kSpeedMargin_rad_s, 0.0, 1.0);
+        std::clamp((limits.velocity_rad_s - std::abs(velocity_rad_s)) / margin_rad_s, 0.0, 1.0);
     torque_Nm = std::clamp(torque_Nm, -share * limits.torque_Nm, share * limits.torque_Nm);
   }
   if (stop_force_N(velocity_rad_s, force_N, slope_N_rad, limits.torque_Nm, drive) > limits.force_N)
@@ -108,7 +111,7 @@ CLAMPD_REALTIME inline double limited_velocity_rad_s(double velocity_rad_s, cons
     // Of stop_force_N(): the speed from which the stop ends at the limit.
     const double braking_rad_s2 = limits.torque_Nm / drive.inertia_kg_m2;
     const double room_rad = std::max(0.0, limits.force_N - force_N) / std::max(slope_N_rad, 1.0);
-    const double lost_rad_s = braking_rad_s2 * kPeriod_s;  // until the next command acts
+    const double lost_rad_s = braking_rad_s2 * drive.period_s;  // until the next command acts
     const double stops_rad_s =
         std::sqrt(lost_rad_s * lost_rad_s + 2.0 * braking_rad_s2 * room_rad) - lost_rad_s;
     closing_rad_s = std::min(closing_rad_s, stops_rad_s);

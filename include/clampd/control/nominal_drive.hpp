@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/base/realtime.hpp"
 #include "clampd/control/stiffness_curve.hpp"
 
@@ -21,8 +22,8 @@ struct DryFriction {
   }
 };
 
-/// What the control law needs to know of the product's nominal brake, as plain numbers: this room knows no
-/// brake model.
+/// What the control law needs to know of the product's nominal brake, and of how it is told what to do, as
+/// plain numbers: this room knows no brake model.
 struct NominalDrive {
   double inertia_kg_m2 = 2.91e-4;
   double ratio_m_rad = 2.63e-5;
@@ -33,6 +34,7 @@ struct NominalDrive {
   double viscous_Nm_s_rad = 4.46e-4;
   double load_friction_Nm_N = 3.55e-5;
   double stribeck_rad_s = 2.89e1;
+  double period_s = kPeriod_s;  ///< from sample to sample, and for which a command acts
 
   CLAMPD_REALTIME StiffnessCurve stiffness() const noexcept { return {cubic_N_rad3, quadratic_N_rad2}; }
 

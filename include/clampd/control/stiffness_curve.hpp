@@ -10,9 +10,6 @@ struct StiffnessCurve {
   double cubic_N_rad3 = 0.0;      ///< k1
   double quadratic_N_rad2 = 1.0;  ///< k2, positive
 
-  /// How far position_for() goes from where the nominal brake has the force.
-  static constexpr double kReach_rad = 6.0;
-
   /// At a position from contact; none in the clearance.
   CLAMPD_REALTIME double force_N(double position_rad) const noexcept {
     return position_rad <= 0.0 ? 0.0 : force_in_contact_N(position_rad);
@@ -32,10 +29,10 @@ struct StiffnessCurve {
 
   /// The position from contact where this curve has `force_N`. The nominal brake has that force at
   /// `nominal_position_rad` and a quadratic coefficient of `nominal_quadratic_N_rad2`: the search starts from
-  /// there, goes at most kReach_rad away and stays where the curve is still steep, so that also a brake that
+  /// there, goes at most `reach_rad` away and stays where the curve is still steep, so that also a brake that
   /// cannot reach the force at all gets a sane position.
   CLAMPD_REALTIME double position_for(double force_N, double nominal_position_rad,
-                                      double nominal_quadratic_N_rad2) const noexcept;
+                                      double nominal_quadratic_N_rad2, double reach_rad) const noexcept;
 };
 
 }  // namespace clampd

@@ -3,8 +3,8 @@
 #include <span>
 #include <vector>
 
+#include "clampd/control/nominal_drive.hpp"
 #include "clampd/identify/estimate.hpp"
-#include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/reference.hpp"
 
 namespace clampd {
@@ -19,8 +19,8 @@ struct NextRunValue {
 class TrajectorySet {
  public:
   TrajectorySet() = default;
-  /// `nominal`: the brake that the references are built for, whose drive the loop knows.
-  TrajectorySet(std::vector<Reference> references, const BrakeParameters& nominal, double torque_limit_Nm);
+  /// `drive`: of the brake and the period that the references are built for, as the loop knows it.
+  TrajectorySet(std::vector<Reference> references, const NominalDrive& drive, double torque_limit_Nm);
 
   std::size_t size() const { return references_.size(); }
 
@@ -32,7 +32,7 @@ class TrajectorySet {
 
  private:
   std::vector<Reference> references_;
-  BrakeParameters nominal_;
+  NominalDrive drive_;
   double torque_limit_Nm_ = 0.0;
 };
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "clampd/base/clock.hpp"
 #include "clampd/base/result.hpp"
 #include "clampd/control/nominal_drive.hpp"
 #include "clampd/parameters/brake_parameters.hpp"
@@ -10,6 +11,7 @@ namespace clampd {
 
 /// What a trajectory may ask of the brake, and how tightly it shall be tracked.
 struct ReferenceOptions {
+  double period_s = kPeriod_s;  ///< of the loop, a multiple of 1 ms
   double force_limit_N = 30e3;
   double velocity_limit_rad_s = 300.0;
   double torque_limit_Nm = 3.0;
@@ -28,9 +30,9 @@ struct ReferenceOptions {
   Result<void> validate() const;
 };
 
-/// Turns a trajectory of the nominal brake (rows 1 ms apart, all columns, position from contact) into what
-/// the loop replays: its rows with the stiffness there and the gains of a linear-quadratic regulator along
-/// it.
+/// Turns a trajectory of the nominal brake (rows 1 ms apart, all columns, position from contact)
+/// into what the loop replays: its rows at the loop's period, with the stiffness there and the gains of a
+/// linear-quadratic regulator along it.
 ///
 /// The gains K(k) minimise the sum of (dF/force)^2 + (dx/position)^2 + (dv/velocity)^2 + (dT/torque)^2 over
 /// the rows to come, for the brake linearised about each row and its torque held over the sample. They are
@@ -38,11 +40,11 @@ struct ReferenceOptions {
 /// before.
 ///
 /// Errors name the first row that breaks a limit, or does not follow from the row before it on the nominal
-/// brake: such a trajectory was designed for another brake.
+/// brake: such a trajectory was designed for another brake; or whose torque changes within a period.
 Result<Reference> build_reference(const Run& trajectory, const BrakeParameters& nominal,
                                   const ReferenceOptions& options = {});
 
-/// What the control law needs to know of the nominal brake.
-NominalDrive nominal_drive(const BrakeParameters& nominal);
+/// What the control law needs to know of the nominal brake, and of the station's period.
+NominalDrive nominal_drive(const BrakeParameters& nominal, double period_s = kPeriod_s);
 
 }  // namespace clampd

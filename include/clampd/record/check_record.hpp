@@ -195,8 +195,8 @@ struct CheckRecord {
   double tare_velocity_rad_s = 0.0;
   double tare_velocity_sd_rad_s = 0.0;
   std::optional<TorqueWhileOff> torque_while_off;  ///< just before the check
-  /// The motor encoder's reading in the first sample, before the station moved anything; nothing: no sample came, or it
-  /// was recorded by a version that did not keep it.
+  /// The motor encoder's reading in the first sample, before the station moved anything; nothing: no sample
+  /// came, or it was recorded by a version that did not keep it.
   std::optional<double> found_rad;
   double tracking_rms_N = 0.0;                     ///< over all repeats
   TimingRecord timing;

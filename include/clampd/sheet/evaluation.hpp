@@ -48,9 +48,9 @@ struct CharacteristicEstimate {
 /// deviation from the second-order terms of the pairs of points one standard deviation to either side along
 /// the principal axes of what the kind needs (Julier and Uhlmann's sigma points, in central differences:
 /// Norgaard, Poulsen and Ravn, New developments in state estimation for nonlinear systems, 2000). Nothing is
-/// drawn: the same posterior gives the same sheet. The 95 % interval is the value ± 1.96 sd. The contact point is
-/// nearly linear in the parameters: by its derivatives.
+/// drawn: the same posterior gives the same sheet. The 95 % interval is the value ± 1.96 sd. The contact
+/// point is nearly linear in the parameters: by its derivatives. `drive`: as the station's loop knows it.
 std::vector<CharacteristicEstimate> evaluate(std::span<const Characteristic> characteristics,
-                                             const Posterior& posterior, const BrakeParameters& nominal);
+                                             const Posterior& posterior, const NominalDrive& drive);
 
 }  // namespace clampd

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "clampd/base/result.hpp"
+#include "clampd/control/nominal_drive.hpp"
 #include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/check_record.hpp"
 
@@ -42,12 +43,13 @@ struct CharacteristicKind {
   std::vector<Parameter> needs;  ///< parameters that it depends on
   double least;                  ///< limits beyond these cannot be meant
   double most;
-  /// Of a brake with known parameters; nothing: this brake never gets there. `nominal` is the brake that the
-  /// station's control law has been made for. nullptr: parameters alone do not tell, it is the contact point as the
+  /// Of a brake with known parameters; nothing: this brake never gets there. `drive`: what the station's
+  /// control law has been made for. nullptr: parameters alone do not tell, it is the contact point as the
   /// encoder reads it.
   std::optional<double> (*value)(const BrakeParameters& brake, const Circumstances& circumstances,
-                                 const BrakeParameters& nominal);
-  bool from_where_found = false;  ///< the contact point less the encoder's reading when the check found the brake
+                                 const NominalDrive& drive);
+  bool from_where_found =
+      false;  ///< the contact point less the encoder's reading when the check found the brake
 };
 
 /// THE table of kinds.

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/base/result.hpp"
 #include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/reference.hpp"
@@ -35,6 +36,7 @@ struct SimulationOptions {
   std::uint32_t first_run = 0;  ///< how many this brake has done before, for what changes from run to run
   double timeout_s = 600.0;     ///< of bench time; then the fault is SequenceTimeout
   CommandedQuantity commanded = CommandedQuantity::Torque;
+  double period_s = kPeriod_s;  ///< of brake, loop and reference
 };
 
 /// Runs a whole check (open, tare, approach, repeats, release) of the brake `plant`, tracking `reference`.

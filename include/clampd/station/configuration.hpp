@@ -1,7 +1,9 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -48,13 +50,16 @@ struct CanSettings {
   std::uint32_t bitrate =
       1'000'000;                   ///< bit/s, for the bus load; the interface itself is set up by the system
   std::uint32_t data_bitrate = 0;  ///< bit/s of the data of CAN FD frames; 0: no bit-rate switch
-  double feedback_cycle_ms = 1.0;  ///< 1, 0.5, 0.25 or 0.2
-  double command_cycle_ms = 1.0;   ///< likewise
+  double feedback_cycle_ms = 1.0;  ///< 5, 2, 1, 0.5, 0.25 or 0.2
+  double command_cycle_ms = 1.0;   ///< likewise; the slower one is a multiple of the other
   CanProtection protection;
   /// Names in this brake's DBC file by role, one of kMappingRoles; roles that are not named keep their
   /// default.
   std::vector<std::pair<std::string, std::string>> mapping;
   std::vector<CanSequenceFrame> startup, shutdown;
+
+  /// Of the loop: a millisecond, or as slow as the brake's frames.
+  double period_s() const { return 1e-3 * std::max({1.0, feedback_cycle_ms, command_cycle_ms}); }
 };
 
 struct RealtimeSettings {
@@ -67,7 +72,7 @@ struct RealtimeSettings {
 /// ms, unless said otherwise.
 struct SupervisorSettings {
   double start_up_ms = 2000.0;     ///< first feedback must come within this
-  double stale_after_ms = 2.5;     ///< without a new sample
+  std::optional<double> stale_after_ms;  ///< without a new sample; left out: two and a half periods
   int corrupt_frames_max = 0;      ///< with a wrong CRC-8, tolerated
   int frozen_frames_max = 1;       ///< with a repeated or jumping alive counter, tolerated
   int implausible_frames_max = 0;  ///< with a value that no brake can have, tolerated

@@ -40,8 +40,8 @@ std::optional<SystematicRecord> add_estimate(const Estimate& joint, const std::v
 /// their scatter does not show it.
 ParameterMatrix tare_covariance_normalised(const Estimate& joint, const Tare& tare);
 
-/// Of a check: the estimate with what is `added` to its covariance, what the encoder tells of the contact point, and
-/// what the tare adds to that, which it shares with the parameters.
+/// Of a check: the estimate with what is `added` to its covariance, what the encoder tells of the contact
+/// point, and what the tare adds to that, which it shares with the parameters.
 Posterior posterior_of_check(const Estimate& joint, const ParameterMatrix& added, std::span<const Run> runs,
                              const Tare& tare, std::optional<double> found_rad);
 

@@ -149,7 +149,7 @@ TEST_F(LogCheck, KnowsABrakeThatIsToldItsSpeed) {
   mapping.velocity_command = "BrakeCommand.VelocityCommand";
   const Database database = read_dbc(CLAMPD_SOURCE_DIR "/tests/support/speed_brake.dbc").value();
   const ProtocolCodec codec = ProtocolCodec::build(database, mapping).value();
-  const CheckRecord record = bench::check(bench::plant(1), 2, nullptr, CommandedQuantity::Velocity);
+  const CheckRecord record = bench::check(bench::plant(1), 2, nullptr, {CommandedQuantity::Velocity});
   const auto text = format_candump(record, codec, "can0");
   ASSERT_TRUE(text);
   const LogFinding finding = check_log(parsed(*text), database, mapping, codec);

@@ -3,7 +3,7 @@
 # Two witnesses, neither of them the station: the brake's trace of the torque that really acted, and the command frames
 # as candump saw them (all that is left of a brake that was killed). Both must have been driving when the cause came.
 
-readonly zero_torque_ms=5
+readonly zero_torque_ms=${zero_torque_ms:-5}
 readonly silent_station_ms=21 # the brake's watchdog of 20 ms, and the sample in which it acts
 
 # fault NAME CAUSE REMOVAL [BRAKE-LIMIT-MS]: CAUSE and REMOVAL are commands; CAUSE prints the clocks as cause.cpp does.
@@ -203,17 +203,17 @@ torque_after() {
 }
 
 # command_after LOG CAUSE_S: milliseconds from the cause to the last frame that asked for torque, and whether one did in
-# the 10 ms before. In the command frame torque is the first two bytes, Enable the lowest bit of the third. With told_speed=1
+# the $command_window_s (10 ms) before. In the command frame torque is the first two bytes, Enable the lowest bit of the third. With told_speed=1
 # the first two are a speed, and only a disabled drive is asked for no torque: speed zero would be torque.
 command_after() {
-  awk -v cause="$2" -v told_speed="${told_speed:-0}" '
+  awk -v cause="$2" -v told_speed="${told_speed:-0}" -v before_s="${command_window_s:-0.010}" '
     {
       time = substr($1, 2) + 0
       data = substr($3, 5)
       sub(/^#./, "", data) # CAN FD: "100##1..."
       if (substr(data, 5, 2) == "00" || (!told_speed && substr(data, 1, 4) == "0000")) next
       if (time > cause) last = time
-      else if (time > cause - 0.010) before = 1
+      else if (time > cause - before_s) before = 1
     }
     END { printf "%.3f %d\n", last ? (last - cause) * 1000 : 0, before }' "$1"
 }
