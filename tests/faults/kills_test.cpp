@@ -91,7 +91,11 @@ class Victim {
       const auto progress = station_.client().progress(false);
       if (!status || !progress) break;
       seen_ = progress->finished ? "finished" : status->judging ? "judging" : progress->phase;
-      if (progress->finished) acknowledged_[progress->record.at("record")] = progress->record.at("verdict");
+      // A disk that stands still is told as an ERROR for the time being, which promises no result.
+      const bool is_kept =
+          progress->finished &&
+          progress->record.at("reason").get<std::string>().find("could not be saved") == std::string::npos;
+      if (is_kept) acknowledged_[progress->record.at("record")] = progress->record.at("verdict");
       if (!killer.joinable() && (progress->finished || (death == Death::Judging && status->judging)))
         die_within(death == Death::Finished ? 20'000 : 40'000);  // estimation and saving take 15 ms or more
     }
