@@ -40,11 +40,12 @@ constexpr double kSoftestCompression = 1.55;
 /// Compression in the approach, times the nominal one: of a brake with 2.5 times the nominal
 /// stiffness, or an encoder that tells of half the motion.
 constexpr double kStiffestCompression = 0.78;
+// For how long that has to be so: spikes beside each other are over by then.
 constexpr double kDoubted_s = 0.025;
-constexpr int kDoubtedSamples = 6;  // at least
+constexpr int kDoubtedSamples = 6;
 constexpr double kLearnFactor = 5.0;  // times contact_force_N: how far the approach goes on
 constexpr double kMoveSpeed_rad_s = 220.0;
-constexpr double kSafeChange_rad_s = 250.0, kFoundAfter = 5.0;
+constexpr double kSafeChange_rad_s = 250.0, kFoundAfter = 5.0;  // periods, until a reading that lies is found
 constexpr double kArrived_rad = 0.03, kArrived_rad_s = 10.0;  // the second: as far as that goes in a period
 constexpr double kDisplaced_rad = 0.3;  // while settling: go back
 constexpr int kMaxGap = 50;             // samples over which a prediction makes sense
@@ -160,8 +161,7 @@ const SequenceOutput& CheckSequence::step(const BrakeFeedback& feedback) noexcep
   }
   last_.fault = FaultCause::None;
   const bool bounded_in_time = stage_ != Stage::Trajectory && stage_ != Stage::Done;
-  if (bounded_in_time &&
-      static_cast<double>(samples_in_stage()) * plan_->drive.period_s > plan_->phase_timeout_s) {
+  if (bounded_in_time && seconds(samples_in_stage()) > plan_->phase_timeout_s) {
     last_.fault = FaultCause::SequenceTimeout;
     last_.torque_Nm = last_.velocity_rad_s = 0.0;
   } else {
@@ -334,7 +334,7 @@ double CheckSequence::tare(const BrakeFeedback& feedback) noexcept {
   sum_force_N_ += feedback.force_N;
   sum_velocity_rad_s_ += feedback.velocity_rad_s;
   ++tare_samples_;
-  if (static_cast<double>(samples_in_stage() + 1) * plan_->drive.period_s < plan_->tare_s) return 0.0;
+  if (seconds(samples_in_stage() + 1) < plan_->tare_s) return 0.0;
   last_.context.force_zero_N = sum_force_N_ / tare_samples_;
   velocity_offset_rad_s_ = sum_velocity_rad_s_ / tare_samples_;
   smooth_force_N_ = 0.0;
@@ -367,8 +367,8 @@ FaultCause CheckSequence::prove_motion() const noexcept {
 
 /// From where the nominal brake's pads would begin to touch by the force with which contact was found: that
 /// may have been late.
-/// Readings of a millisecond tell by the torque that an encoder reads too little, long before.
 bool CheckSequence::is_too_stiff() const noexcept {
+  // Readings of a millisecond tell by the torque that an encoder reads too little, long before.
   if (plan_->drive.period_s <= kPeriod_s) return false;
   const double quadratic_N_rad2 = plan_->drive.quadratic_N_rad2;
   const double touched_rad = proof_.contact_rad - std::sqrt(proof_.contact_N / quadratic_N_rad2);
@@ -391,8 +391,7 @@ double CheckSequence::approach() noexcept {
       last_.context.contact_known && smooth_force_N_ > kLearnFactor * plan_->contact_force_N;
   pressed_samples_ = pressed ? pressed_samples_ + 1 : 0;
   // Too soon for any brake may be spikes beside each other, too.
-  const bool is_sure = pressed_samples_ >= kDoubtedSamples &&
-                       static_cast<double>(pressed_samples_) * plan_->drive.period_s >= kDoubted_s;
+  const bool is_sure = pressed_samples_ >= kDoubtedSamples && seconds(pressed_samples_) >= kDoubted_s;
   if (pressed && (is_sure || !is_too_stiff())) {
     unproven_ = prove_motion();
     enter(Stage::Return);
@@ -433,7 +432,7 @@ double CheckSequence::settle() noexcept {
     enter(Stage::Return);
     return move_to_start();
   }
-  if (static_cast<double>(samples_in_stage() + 1) * plan_->drive.period_s < plan_->settle_s) return 0.0;
+  if (seconds(samples_in_stage() + 1) < plan_->settle_s) return 0.0;
   enter(Stage::Trajectory);
   trajectory_start_ = index_ + 1;
   return track();

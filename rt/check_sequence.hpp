@@ -115,6 +115,9 @@ class CheckSequence {
   CLAMPD_REALTIME void enter(Stage stage) noexcept;
   CLAMPD_REALTIME CheckPhase phase() const noexcept;
   CLAMPD_REALTIME std::int64_t samples_in_stage() const noexcept { return index_ - stage_start_; }
+  CLAMPD_REALTIME double seconds(std::int64_t samples) const noexcept {
+    return static_cast<double>(samples) * plan_->drive.period_s;
+  }
   CLAMPD_REALTIME double start_position_rad() const noexcept;
   CLAMPD_REALTIME const std::vector<ReferenceRow>& rows() const noexcept;
 

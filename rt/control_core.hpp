@@ -261,8 +261,7 @@ class BasicControlCore {
   void begin(std::int64_t now_ns, std::uint64_t skipped_periods) noexcept {
     // While the loop itself stood still, the panel had no chance either: only its silence beside a running
     // loop counts.
-    const std::int64_t missed_ns =
-        static_cast<std::int64_t>(static_cast<double>(skipped_periods) * 1e9 * settings_.drive.period_s);
+    const std::int64_t missed_ns = static_cast<std::int64_t>(skipped_periods) * supervisor_.period_ns();
     TickInputs inputs{
         .now_ns = now_ns,
         .skipped_periods = skipped_periods,

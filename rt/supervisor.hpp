@@ -60,6 +60,17 @@ struct SupervisorSettings {
   bool drive_reports_live = true;  ///< false for a brake whose feedback has no drive-enabled signal
   std::int64_t clear_quiet_ns = 50 * kNanosecondsPerMillisecond;
 
+  /// The defaults for this drive: what counts in samples lasts as long as its period makes it.
+  static SupervisorSettings of(const NominalDrive& drive) noexcept {
+    SupervisorSettings settings;
+    settings.drive = drive;
+    const auto period_ns = std::llround(1e9 * drive.period_s);
+    settings.stale_ns = 2 * period_ns + period_ns / 2;
+    settings.event_window_ns = 10 * period_ns;
+    settings.clock_tolerance_ns = period_ns / 5;
+    return settings;
+  }
+
   /// Error: a threshold that is not positive and finite, or an empty plausible range; the message names it.
   Result<void> validate() const;
 };
@@ -119,6 +130,8 @@ class Supervisor {
     if (cause != FaultCause::None) judge(cause);
   }
 
+  /// Of the loop.
+  CLAMPD_REALTIME std::int64_t period_ns() const noexcept { return period_ns_; }
   CLAMPD_REALTIME StationState state() const noexcept { return state_; }
   CLAMPD_REALTIME FaultCause fault() const noexcept { return fault_; }
   /// When the fault was latched, and in which state: only meaningful in FAULT.

@@ -65,13 +65,14 @@ Frame StationProtocol::command(const DriveCommand& command) noexcept {
 }
 
 bool StationProtocol::plausible(std::size_t index, const Frame& frame) const noexcept {
-  const auto good = [&](const FeedbackField& part) {
-    return !part.present || part.frame != index || part.field.plausible(part.field.decode(frame));
+  const auto judged = [&](const FeedbackField& part, bool is_measured) {
+    if (!part.present || part.frame != index) return true;
+    const double value = part.field.decode(frame);
+    return part.field.plausible(value) && !(is_measured && part.field.saturated(value));
   };
+  const auto good = [&](const FeedbackField& part) { return judged(part, false); };
   // A reading at the end of its range may be anything beyond: a tare of it is none, and a motion goes unseen.
-  const auto measured = [&](const FeedbackField& part) {
-    return good(part) && (part.frame != index || !part.field.saturated(part.field.decode(frame)));
-  };
+  const auto measured = [&](const FeedbackField& part) { return judged(part, true); };
   return measured(codec_.force) && measured(codec_.velocity) && measured(codec_.torque) &&
          good(codec_.position) && good(codec_.enabled) && good(codec_.watchdog) && good(codec_.fault);
 }

@@ -163,12 +163,10 @@ rt::SupervisorSettings supervisor_settings(const StationConfiguration& configura
   const auto nanoseconds = [](double milliseconds) {
     return static_cast<std::int64_t>(milliseconds * static_cast<double>(kNanosecondsPerMillisecond));
   };
-  rt::SupervisorSettings settings;
+  auto settings =
+      rt::SupervisorSettings::of(nominal_drive(configuration.model, configuration.can.period_s()));
   settings.startup_timeout_ns = nanoseconds(configured.start_up_ms);
-  const double period_ms = 1e3 * configuration.can.period_s();
-  settings.stale_ns = nanoseconds(configured.stale_after_ms.value_or(2.5 * period_ms));
-  settings.clock_tolerance_ns = nanoseconds(0.2 * period_ms);
-  settings.event_window_ns = nanoseconds(10.0 * period_ms);
+  if (configured.stale_after_ms) settings.stale_ns = nanoseconds(*configured.stale_after_ms);
   settings.corrupt_tolerated = static_cast<std::uint64_t>(configured.corrupt_frames_max);
   settings.frozen_tolerated = static_cast<std::uint64_t>(configured.frozen_frames_max);
   settings.implausible_tolerated = static_cast<std::uint64_t>(configured.implausible_frames_max);
@@ -181,7 +179,6 @@ rt::SupervisorSettings supervisor_settings(const StationConfiguration& configura
   settings.plausible_force_N = configured.plausible_force_N;
   settings.plausible_velocity_rad_s = configured.plausible_velocity_rad_s;
   settings.plausible_torque_Nm = configured.plausible_torque_Nm;
-  settings.drive = nominal_drive(configuration.model, configuration.can.period_s());
   settings.readings = {configured.torque_mismatch_Nm, configured.velocity_mismatch_rad_s,
                        configured.position_mismatch_rad, configured.force_mismatch_N};
   settings.drive_reports_live = configured.drive_reports_live;

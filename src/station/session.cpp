@@ -160,7 +160,7 @@ Look CheckSession::look_at(const std::vector<RunRecord>& runs, const Estimate& j
   if (StoppingRule::is_enough(judgement, joint, systematic)) return {.is_enough = true};
   const std::span<const Characteristic> sheet =
       sheet_ ? std::span<const Characteristic>(sheet_->characteristics) : std::span<const Characteristic>();
-  return {false, next_trajectory_for(judgement, joint, runs, trajectories_, sheet, configuration_.model)};
+  return {false, next_trajectory_for(judgement, joint, runs, trajectories_, sheet)};
 }
 
 void CheckSession::record_stopping(const CheckFacts& facts, const Judgement& judgement, const Estimate& joint,

@@ -8,7 +8,6 @@
 #include <fmt/ranges.h>
 
 #include "clampd/base/assert.hpp"
-#include "clampd/experiment/reference.hpp"
 #include "clampd/record/check_record.hpp"
 #include "clampd/sheet/evaluation.hpp"
 #include "clampd/station/cause.hpp"
@@ -111,7 +110,7 @@ namespace {
 /// Sum of the logarithms of the standard deviations, under this covariance, of what is in doubt. NaN where
 /// one is not known.
 double log_deviations(const Posterior& expected, const Judgement& judgement,
-                      std::span<const Characteristic> sheet, const BrakeParameters& nominal) {
+                      std::span<const Characteristic> sheet, const NominalDrive& drive) {
   double sum = 0.0;
   for (const ParameterRecord& parameter : judgement.parameters) {
     const auto index = find_parameter(parameter.name);
@@ -121,7 +120,7 @@ double log_deviations(const Posterior& expected, const Judgement& judgement,
   }
   if (std::none_of(judgement.characteristics.begin(), judgement.characteristics.end(), is_marginal<CharacteristicRecord>))
     return sum;
-  const std::vector<CharacteristicEstimate> lines = evaluate(sheet, expected, nominal_drive(nominal));
+  const std::vector<CharacteristicEstimate> lines = evaluate(sheet, expected, drive);
   for (std::size_t i = 0; i < lines.size(); ++i)
     if (is_marginal(judgement.characteristics[i])) sum += std::log(lines[i].sd);
   return sum;
@@ -131,7 +130,7 @@ double log_deviations(const Posterior& expected, const Judgement& judgement,
 
 std::uint8_t next_trajectory_for(const Judgement& judgement, const Estimate& joint,
                                  const std::vector<RunRecord>& runs, const TrajectorySet& trajectories,
-                                 std::span<const Characteristic> sheet, const BrakeParameters& nominal) {
+                                 std::span<const Characteristic> sheet) {
   if (trajectories.size() < 2 || in_doubt(judgement).empty() || !joint.converged()) return 0;
   std::vector<double> driven(trajectories.size(), 0.0);
   for (const RunRecord& run : runs)
@@ -145,7 +144,7 @@ std::uint8_t next_trajectory_for(const Judgement& judgement, const Estimate& joi
   double least = std::numeric_limits<double>::infinity();
   for (std::size_t k = 0; k < value.after.size(); ++k) {
     expected.covariance_normalised = value.after[k];
-    const double sum = log_deviations(expected, judgement, sheet, nominal);
+    const double sum = log_deviations(expected, judgement, sheet, trajectories.drive());
     if (!(sum < least)) continue;
     best = static_cast<std::uint8_t>(k);
     least = sum;

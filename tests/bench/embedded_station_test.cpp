@@ -21,6 +21,7 @@
 #include "clampd/experiment/manoeuvres.hpp"
 #include "drivers/can/brake_node.hpp"
 #include "drivers/sim/simulated_brake.hpp"
+#include "support/encoder_sheet.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd::bench {
@@ -46,18 +47,7 @@ CheckRecord check_of_clearance(double encoder_zero_rad, double clearance_rad, do
   PreparedStation station = prepared();
   station.configuration.check.diagnose =
       false;  // which a FAIL would ask for, and which is not what is tested
-  station.sheet = parse_sheet(R"(revision = "1"
-[[characteristic]]
-kind = "contact-point"
-unit = "rad"
-[[characteristic]]
-kind = "clearance"
-unit = "rad"
-lower = 4
-upper = 8
-)",
-                              "sheet.toml")
-                      .value();
+  station.sheet = support::encoder_sheet();
   sim::PlantConfiguration brake = plant(1);
   brake.encoder_zero_rad = encoder_zero_rad;
   brake.clearance_rad = clearance_rad;

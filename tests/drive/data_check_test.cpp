@@ -10,6 +10,7 @@
 #include <gtest/gtest.h>
 
 #include "drive/recorded_drive.hpp"
+#include "support/shared_data.hpp"
 
 namespace clampd {
 namespace {
@@ -469,10 +470,7 @@ TEST(DataCheck, WrongShapesAreErrors) {
 class MeasuredData : public ::testing::Test {
  protected:
   void SetUp() override {
-    const char* shared = std::getenv("CLAMPD_SHARED");
-    folder_ = (shared != nullptr ? std::filesystem::path(shared)
-                                 : std::filesystem::path(CLAMPD_SOURCE_DIR) / "../shared") /
-              "data";
+    folder_ = support::shared_data("data");
     if (!std::filesystem::exists(folder_))
       GTEST_SKIP() << "no measured data at " << folder_ << "; set CLAMPD_SHARED";
   }

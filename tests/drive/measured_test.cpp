@@ -12,6 +12,7 @@
 #include <gtest/gtest.h>
 
 #include "clampd/drive/diagnosis.hpp"
+#include "support/shared_data.hpp"
 
 /// Data that others measured; sources and licences stand beside them.
 namespace clampd {
@@ -28,8 +29,7 @@ using ::testing::Not;
 using ::testing::StartsWith;
 
 fs::path data_folder() {
-  if (const char* shared = std::getenv("CLAMPD_SHARED")) return fs::path(shared) / "data";
-  return fs::path(CLAMPD_SOURCE_DIR) / "../shared/data";
+  return support::shared_data("data");
 }
 
 class MeasuredDrives : public ::testing::Test {

@@ -176,10 +176,7 @@ CheckOutcome drive_check(const sim::PlantConfiguration& plant, const Reference& 
                          std::uint16_t repeats, const Told& told) {
   const std::int64_t period_ns = std::llround(1e9 * told.period_s);
   DirectPort port(plant, period_ns);
-  rt::SupervisorSettings supervised;
-  supervised.drive = nominal_drive(BrakeParameters{}, told.period_s);
-  supervised.stale_ns = 5 * period_ns / 2;
-  supervised.clock_tolerance_ns = period_ns / 5;
+  const auto supervised = rt::SupervisorSettings::of(nominal_drive(BrakeParameters{}, told.period_s));
   rt::ControlCore core(port, supervised, 16);
   rt::CheckPlan plan;
   plan.commanded = told.commanded;

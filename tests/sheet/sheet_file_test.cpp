@@ -61,22 +61,28 @@ TEST(SheetFile, SaysWhatTheLineAsksFor) {
   EXPECT_EQ(sheet->characteristics[1].lower, 0.0);
 }
 
+/// As a check without results records it.
+SheetRecord recorded(const Sheet& sheet) {
+  SheetRecord record{sheet.file, sheet.revision, sheet.sha256, false, {}};
+  for (const Characteristic& line : sheet.characteristics) {
+    CharacteristicRecord& kept = record.characteristics.emplace_back();
+    kept.name = line.name;
+    kept.kind = line.kind->name;
+    kept.unit = line.kind->unit;
+    kept.circumstances = circumstances_text(line);
+    kept.lower = line.lower;
+    kept.upper = line.upper;
+  }
+  return record;
+}
+
 TEST(SheetFile, IsReadBackFromWhatARecordSaysOfIt) {
   std::string text = kGood;
   text.replace(text.find("20000"), 5, "20000.0625");
   text.replace(text.find("0.9"), 3, "0.8123456789");
   const Result<Sheet> sheet = parse_sheet(text, "sheet.toml");
   ASSERT_TRUE(sheet) << sheet.error().message;
-  SheetRecord record{sheet->file, sheet->revision, sheet->sha256, false, {}};
-  for (const Characteristic& line : sheet->characteristics) {
-    CharacteristicRecord& recorded = record.characteristics.emplace_back();
-    recorded.name = line.name;
-    recorded.kind = line.kind->name;
-    recorded.unit = line.kind->unit;
-    recorded.circumstances = circumstances_text(line);
-    recorded.lower = line.lower;
-    recorded.upper = line.upper;
-  }
+  SheetRecord record = recorded(*sheet);
   const Result<Sheet> read = sheet_of(record);
   ASSERT_TRUE(read) << read.error().message;
   EXPECT_EQ(read->sha256, sheet->sha256);
@@ -119,15 +125,8 @@ upper = 8
   ASSERT_TRUE(sheet) << sheet.error().message;
   EXPECT_EQ(sheet->characteristics[0].name, "contact-point");
   EXPECT_EQ(sheet->characteristics[1].name, "clearance");
-  SheetRecord record{sheet->file, sheet->revision, sheet->sha256, false, {}};
-  for (const Characteristic& line : sheet->characteristics) {
-    CharacteristicRecord& recorded = record.characteristics.emplace_back();
-    recorded.name = line.name;
-    recorded.kind = line.kind->name;
-    recorded.unit = line.kind->unit;
-    recorded.circumstances = circumstances_text(line);
-    EXPECT_EQ(recorded.circumstances, "");
-  }
+  SheetRecord record = recorded(*sheet);
+  for (const CharacteristicRecord& line : record.characteristics) EXPECT_EQ(line.circumstances, "");
   ASSERT_TRUE(sheet_of(record));
   record.characteristics[1].circumstances = "force_N 20000";
   EXPECT_THAT(sheet_of(record).error().message, HasSubstr("are not those of a clearance"));

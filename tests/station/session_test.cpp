@@ -14,6 +14,7 @@
 #include "clampd/brake/stiffness.hpp"
 #include "clampd/record/checksum.hpp"
 #include "station/sample_stream.hpp"
+#include "support/encoder_sheet.hpp"
 #include "support/eventually.hpp"
 #include "support/shipped_limits.hpp"
 
@@ -540,17 +541,7 @@ upper = 0.2
 }
 
 TEST_P(Session, KeepsWhereItFoundTheBrakeAndSaysWhatTheEncoderTells) {
-  context.sheet = *parse_sheet(R"(revision = "7"
-[[characteristic]]
-kind = "contact-point"
-unit = "rad"
-[[characteristic]]
-kind = "clearance"
-unit = "rad"
-lower = 4
-upper = 8
-)",
-                               "sheet.toml");
+  context.sheet = support::encoder_sheet();
   // Pads that are pressed as far as the force says, from an encoder that reads 17.3 rad at contact.
   const PolynomialStiffness stiffness(nominal_parameters().data());
   for (Sample& sample : samples)

@@ -10,6 +10,7 @@
 #include "clampd/sheet/sheet.hpp"
 #include "clampd/statistics/distributions.hpp"
 #include "clampd/statistics/sequential.hpp"
+#include "support/encoder_sheet.hpp"
 
 namespace clampd {
 namespace {
@@ -81,7 +82,7 @@ class NextTrajectory : public ::testing::Test {
     judgement.parameters.clear();
     for (const char* name : in_doubt)
       judgement.parameters.push_back({.name = name, .unit = "", .verdict = ParameterVerdict::Marginal});
-    return next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {});
+    return next_trajectory_for(judgement, joint_, runs_, set_, sheet_);
   }
 
   Estimate joint_ = [] {
@@ -119,21 +120,11 @@ upper = 0.1
                .characteristics;
   Judgement judgement = good();
   judgement.characteristics = {{.name = "drag", .kind = "drag", .unit = "N m", .verdict = ParameterVerdict::Marginal}};
-  EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {}), 1) << "friction at constant speed";
+  EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_), 1) << "friction at constant speed";
 }
 
 TEST_F(NextTrajectory, CountsWhatTheEncoderTells) {
-  sheet_ = parse_sheet(R"(revision = "1"
-[[characteristic]]
-kind = "contact-point"
-unit = "rad"
-[[characteristic]]
-kind = "clearance"
-unit = "rad"
-)",
-                       "sheet.toml")
-               .value()
-               .characteristics;
+  sheet_ = support::encoder_sheet().characteristics;
   const Reference reference = shipped("trajectory");
   for (RunRecord& record : runs_) {
     for (const ReferenceRow& row : reference.rows) {
@@ -151,9 +142,9 @@ unit = "rad"
     Judgement judgement = good();
     judgement.characteristics.resize(2);
     judgement.characteristics[line].verdict = ParameterVerdict::Marginal;
-    EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {}), 0);
+    EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_), 0);
     judgement.parameters[0].verdict = ParameterVerdict::Marginal;
-    EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {}), 1)
+    EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_), 1)
         << "friction is in doubt too, and that it tells nothing of the encoder is no reason against a run "
            "for it";
   }
@@ -161,7 +152,7 @@ unit = "rad"
   Judgement judgement = good();
   judgement.characteristics.resize(2);
   judgement.characteristics[0].verdict = ParameterVerdict::Marginal;
-  EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_, {}), 0) << "nothing is known of it";
+  EXPECT_EQ(next_trajectory_for(judgement, joint_, runs_, set_, sheet_), 0) << "nothing is known of it";
 }
 
 }  // namespace

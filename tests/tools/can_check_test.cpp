@@ -19,6 +19,7 @@
 #include "drivers/can/codec.hpp"
 #include "drivers/can/log.hpp"
 #include "support/command.hpp"
+#include "support/shared_data.hpp"
 #include "support/temporary_directory.hpp"
 
 namespace clampd::can {
@@ -31,8 +32,7 @@ using ::testing::HasSubstr;
 using ::testing::Not;
 
 std::filesystem::path vehicle_folder() {
-  if (const char* shared = std::getenv("CLAMPD_SHARED")) return std::filesystem::path{shared} / "data/dbc";
-  return std::filesystem::path{CLAMPD_SOURCE_DIR} / "../shared/data/dbc";
+  return support::shared_data("data/dbc");
 }
 
 /// Roles of [can.mapping] and their signals.

@@ -23,6 +23,7 @@ class TrajectorySet {
   TrajectorySet(std::vector<Reference> references, const NominalDrive& drive, double torque_limit_Nm);
 
   std::size_t size() const { return references_.size(); }
+  const NominalDrive& drive() const { return drive_; }
 
   /// By simulation of the estimated brake under the station's control law, with the noise as estimated.
   /// `driven`: runs so far along each trajectory. A trajectory that the loop cannot keep this brake on is not

@@ -62,6 +62,6 @@ class StoppingRule {
 /// (geometric mean). 0 where nothing is in doubt, or there is no choice.
 std::uint8_t next_trajectory_for(const Judgement& judgement, const Estimate& joint,
                                  const std::vector<RunRecord>& runs, const TrajectorySet& trajectories,
-                                 std::span<const Characteristic> sheet, const BrakeParameters& nominal);
+                                 std::span<const Characteristic> sheet);
 
 }  // namespace clampd

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "drivers/can/log_check.hpp"
+#include "support/shared_data.hpp"
 
 namespace clampd::can {
 namespace {
@@ -39,8 +40,7 @@ std::string slurp(const std::filesystem::path& path) {
 // -------------------------------------------------------------------------------------------------
 
 std::filesystem::path real_dbc_folder() {
-  if (const char* shared = std::getenv("CLAMPD_SHARED")) return std::filesystem::path{shared} / "data/dbc";
-  return std::filesystem::path{CLAMPD_SOURCE_DIR} / "../shared/data/dbc";
+  return support::shared_data("data/dbc");
 }
 
 struct RealFile {

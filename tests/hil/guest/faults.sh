@@ -83,6 +83,17 @@ scripted_cause_s() {
     clamped && NR >= clamped + samples { print $at["time_s"]; exit }' "$1"
 }
 
+# As many repeats as the brake needs, identified beside the loop.
+full_auto_check() {
+  skipped_before=$(status skipped)
+  check full auto
+  expect_pass full
+  cat /tmp/full.out
+  expect_on_time full
+  expect "no grid point skipped" [ "$(status skipped)" = "$skipped_before" ]
+  expect_close_to_truth full
+}
+
 # Before anything is spoiled.
 healthy_check() {
   id=healthy

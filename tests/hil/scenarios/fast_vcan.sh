@@ -21,13 +21,7 @@ start_station
 wait_for_idle
 healthy_check_and_its_frames 100:67F
 grep -E "every|Command|Feedback" /tmp/can_check
-skipped_before=$(status skipped)
-check full auto
-expect_pass full
-cat /tmp/full.out
-expect_on_time full
-expect "no grid point skipped" [ "$(status skipped)" = "$skipped_before" ]
-expect_close_to_truth full
+full_auto_check
 plant_lost
 scripted_fault corrupt-crc
 scripted_fault frozen-counter

@@ -17,11 +17,7 @@ start_station
 wait_for_idle
 healthy_check_and_its_frames 180:7FC
 grep "every 5" /tmp/can_check || fail "can check does not see how often the frames come"
-check full auto
-expect_pass full
-cat /tmp/full.out
-expect_on_time full
-expect_close_to_truth full
+full_auto_check
 plant_lost
 fault "interface down" 'cause link vcan0 down' 'bring_up vcan0'
 scripted_fault corrupt-crc

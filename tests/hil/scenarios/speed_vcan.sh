@@ -50,13 +50,7 @@ wait_for_idle
 healthy_check_and_its_frames 100:67E
 grep -E "Brake|velocity command" /tmp/can_check
 expect "can check shows the speed that the brake is told" grep -q "velocity command .*rad/s" /tmp/can_check
-skipped_before=$(status skipped)
-check full auto
-expect_pass full
-cat /tmp/full.out
-expect_on_time full
-expect "no grid point skipped" [ "$(status skipped)" = "$skipped_before" ]
-expect_close_to_truth full
+full_auto_check
 plant_lost
 scripted_fault corrupt-crc
 scripted_fault frozen-counter
