@@ -108,7 +108,10 @@ void write_sheet(Page& page, const SheetRecord& sheet) {
     table.rows.push_back({line.name, number(line.value, 5),
                           line.is_known() ? number(low, 5) + " … " + number(high, 5) : "–", limits_of(line),
                           line.unit, line.is_known() ? known : unknown});
-    circumstances.emplace_back(line.name, fmt::format("{}: {}", line.kind, line.circumstances));
+    // The contact point has none.
+    circumstances.emplace_back(line.name, line.circumstances.empty()
+                                              ? line.kind
+                                              : fmt::format("{}: {}", line.kind, line.circumstances));
   }
   page.table(table);
   page.paragraph("Asked for, in full:");
