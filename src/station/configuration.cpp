@@ -11,6 +11,7 @@
 
 #include <fmt/format.h>
 
+#include "clampd/base/clock.hpp"
 #include "clampd/base/table_reader.hpp"
 #include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/record/file.hpp"
@@ -149,7 +150,7 @@ void read_cycle(TableReader& reader, const toml::table& table, std::string_view 
 }
 
 bool is_slow(const CanSettings& can) {
-  return can.period_s() > 2.5e-3;
+  return can.period_s() > kPeriod_s;
 }
 
 /// The loop's period is the slower of the two, if that is more than a millisecond.
@@ -335,7 +336,7 @@ void read_check(TableReader& reader, const toml::table& table, const std::string
   if (is_slow && reader.has("method") && c.method != Method::PredictionError)
     reader.refuse(
         table.get("method")->source(),
-        "check.method = oem cannot be as sure as it says where [can] has cycles above 2 ms; write \"pem\" or "
+        "check.method = oem cannot be as sure as it says where [can] has cycles above 1 ms; write \"pem\" or "
         "leave the method out");
   reader.path("model", c.model, folder);
   if (!c.model.empty()) {

@@ -56,7 +56,7 @@ TEST_P(Calibration, ReportedUncertaintyIsHonest) {
 INSTANTIATE_TEST_SUITE_P(
     Told, Calibration,
     ::testing::Values(ToldSo{"torque", {}}, ToldSo{"speed", {.commanded = CommandedQuantity::Velocity}},
-                      ToldSo{"torque_each_2_ms", {.period_s = 2e-3}},
+                      ToldSo{"torque_each_2_ms", {.period_s = 2e-3, .method = Method::PredictionError}},
                       ToldSo{"torque_each_5_ms", {.period_s = 5e-3, .method = Method::PredictionError}}),
     [](const auto& tested) { return std::string(tested.param.name); });
 

@@ -373,7 +373,7 @@ INSTANTIATE_TEST_SUITE_P(
                 "2:", "it can be 5, 2, 1, 0.5, 0.25 or 0.2"},
         Refused{"unequal_cycles", "[can]\nfeedback_cycle_ms = 5\ncommand_cycle_ms = 2\n",
                 "1:", "has to be a multiple of the other"},
-        Refused{"slow_by_output_errors", "[can]\nfeedback_cycle_ms = 5\n[check]\nmethod = \"oem\"\n",
+        Refused{"slow_by_output_errors", "[can]\nfeedback_cycle_ms = 2\n[check]\nmethod = \"oem\"\n",
                 "4:", "write \"pem\" or leave the method out"},
         Refused{"late_commands", "[can]\ncommand_cycle_ms = 5\n", "1:", "as often as it wants commands"},
         Refused{"patient_for_its_period",
