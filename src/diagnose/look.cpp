@@ -7,8 +7,8 @@
 #include <Eigen/LU>
 
 #include "clampd/base/parallel.hpp"
+#include "clampd/brake/effect_combinations.hpp"
 #include "clampd/statistics/symmetric.hpp"
-#include "src/diagnose/combinations.hpp"
 #include "src/diagnose/evidence.hpp"
 
 namespace clampd::diagnosing {

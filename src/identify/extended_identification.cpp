@@ -329,11 +329,8 @@ class Precision {
     const std::size_t size = free_.size();
     if (runs.size() < 2 || size == 0) return;
     Eigen::MatrixXd own(covariance_.rows(), static_cast<Eigen::Index>(runs.size()));
-    for (std::size_t r = 0; r < runs.size(); ++r) {
-      ExtendedEstimate of_run = extension_.estimate();
-      of_run.initial_states = {extension_.estimate().initial_states[r]};
-      own.col(static_cast<Eigen::Index>(r)) = of_free(score_parameters({&runs[r], 1}, of_run).gradient);
-    }
+    for (std::size_t r = 0; r < runs.size(); ++r)
+      own.col(static_cast<Eigen::Index>(r)) = of_free(scores_.of_runs[r].gradient);
     // At a bound they do not add up to zero.
     own.colwise() -= own.rowwise().mean().eval();
     const Eigen::MatrixXd squares = own * own.transpose();

@@ -139,19 +139,19 @@ ParameterScores score_parameters(std::span<const FitRun> runs, const ExtendedEst
   const int p = together.parameters(), initial_states = together.initial_states();
   scores.gradient.setZero(p);
   scores.information.setZero(p, p);
+  const Eigen::VectorXd slope = together.slopes();
   Eigen::MatrixXd normal;
   for (std::size_t r = 0; r < runs.size(); ++r) {
     if (!together.linearise(runs[r], r, scores.largest_innovation, normal)) return scores;
     // What the initial state may answer, within its prior, does not count.
     add_prior(together.prior(), Eigen::VectorXd::Zero(initial_states).eval(), normal);
     const Reduced reduced = without_initial_states(normal, p, initial_states);
-    scores.information += reduced.information;
-    scores.gradient -= reduced.gradient;
+    const ParameterScores::OfRun& run = scores.of_runs.emplace_back(
+        -reduced.gradient.cwiseQuotient(slope), reduced.information.cwiseQuotient(slope * slope.transpose()));
+    scores.information += run.information;
+    scores.gradient += run.gradient;
     scores.half_squares += 0.5 * reduced.sum_of_squares;
   }
-  const Eigen::VectorXd slope = together.slopes();
-  scores.gradient = scores.gradient.cwiseQuotient(slope).eval();
-  scores.information = scores.information.cwiseQuotient(slope * slope.transpose()).eval();
   scores.possible = true;
   return scores;
 }

@@ -3,11 +3,13 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "clampd/base/assert.hpp"
 #include "clampd/statistics/distributions.hpp"
 #include "clampd/statistics/symmetric.hpp"
+#include "src/identify/effect_misfit.hpp"
 #include "src/identify/initial_state_prior.hpp"
 #include "src/identify/joint_fit.hpp"
 
@@ -106,32 +108,19 @@ void test_mean(const Eigen::MatrixXd& columns, SystematicMisfit& misfit) {
   misfit.can_tell = std::isfinite(misfit.p_value);
 }
 
-}  // namespace
-
-double SystematicMisfit::moved_sd(const ParameterVector& sd_normalised) const {
-  return covariance_normalised.diagonal().cwiseMax(0.0).cwiseSqrt().cwiseQuotient(sd_normalised).maxCoeff();
-}
-
-SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint,
+/// What repeats have in common, and the jackknife over stretches. `held`: parameters that did not move.
+SystematicMisfit misfit_of_repeats(std::span<const Run> runs, const Estimate& joint, const Held& held,
                                    std::span<const std::uint8_t> motions) {
-  CLAMPD_ASSERT(motions.empty() || motions.size() == runs.size());
   SystematicMisfit misfit;
   std::vector<std::size_t> alike;
   for (std::size_t r = 0; r < runs.size(); ++r)
     if (motions.empty() || motions[r] == motions[0]) alike.push_back(r);
-  if (alike.size() < kFewestRepeats || !joint.converged() || !joint.effects.empty() ||
-      joint.initial_states.size() != runs.size() || !joint.parameters.theta.allFinite())
+  if (alike.size() < kFewestRepeats || std::any_of(alike.begin(), alike.end(), [&](std::size_t r) {
+        return runs[r].size() != runs[0].size();
+      }))
     return misfit;
-  if (std::any_of(alike.begin(), alike.end(), [&](std::size_t r) { return runs[r].size() != runs[0].size(); }))
-    return misfit;
-  Held held{};
-  for (std::size_t i = 0; i < kParameterCount; ++i) {
-    const auto k = static_cast<Eigen::Index>(i);
-    held[i] = joint.covariance_normalised(k, k) == 0.0;
-  }
   const NoiseLevels noise{{joint.noise_force_N, joint.noise_velocity_rad_s},
                           joint.method == Method::PredictionError ? joint.noise_torque_Nm : 0.0};
-  if (!within_bounds(joint.parameters.theta)) return misfit;
 
   const auto repeats = static_cast<Eigen::Index>(alike.size());
   const auto readings = static_cast<Eigen::Index>(2 * runs[0].size());
@@ -174,6 +163,37 @@ SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& jo
     spread += moved * moved.transpose();
   }
   misfit.covariance_normalised = spread * (stretches - 1.0) / stretches;
+  return misfit;
+}
+
+}  // namespace
+
+double SystematicMisfit::moved_sd(const ParameterVector& sd_normalised) const {
+  return covariance_normalised.diagonal().cwiseMax(0.0).cwiseSqrt().cwiseQuotient(sd_normalised).maxCoeff();
+}
+
+SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& joint,
+                                   std::span<const std::uint8_t> motions) {
+  CLAMPD_ASSERT(motions.empty() || motions.size() == runs.size());
+  if (!joint.converged() || !joint.effects.empty() || joint.initial_states.size() != runs.size() ||
+      !joint.parameters.theta.allFinite() || !within_bounds(joint.parameters.theta))
+    return {};
+  Held held{};
+  for (std::size_t i = 0; i < kParameterCount; ++i) {
+    const auto k = static_cast<Eigen::Index>(i);
+    held[i] = joint.covariance_normalised(k, k) == 0.0;
+  }
+  const SystematicMisfit of_repeats = misfit_of_repeats(runs, joint, held, motions);
+  const EffectMisfit of_effects = effect_misfit(runs, joint, held);
+  SystematicMisfit misfit{.can_tell = of_repeats.can_tell || of_effects.can_tell,
+                          .over_noise = of_repeats.over_noise};
+  const double tests = of_repeats.can_tell && of_effects.can_tell ? 2.0 : 1.0;
+  for (const auto& [p_value, covariance] :
+       {std::pair(tests * of_repeats.p_value, of_repeats.covariance_normalised),
+        std::pair(tests * of_effects.p_value, of_effects.covariance_normalised)}) {
+    misfit.p_value = std::min(misfit.p_value, p_value);
+    if (p_value < kSystematic) misfit.covariance_normalised += covariance;
+  }
   return misfit;
 }
 

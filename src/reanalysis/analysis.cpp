@@ -11,7 +11,7 @@
 #include "clampd/base/json.hpp"
 #include "clampd/base/version.hpp"
 #include "clampd/diagnose/diagnosis.hpp"
-#include "clampd/diagnose/effect_scores.hpp"
+#include "clampd/identify/effect_scores.hpp"
 #include "clampd/identify/method.hpp"
 #include "clampd/reanalysis/population.hpp"
 #include "clampd/record/checksum.hpp"

@@ -88,9 +88,9 @@ std::vector<EffectEstimate> with_tare_sd(std::vector<EffectEstimate> effects, co
   return effects;
 }
 
-/// Tests whether the repeats have something in common that the model lacks; where that may move a parameter
-/// by more than its standard deviation, the deviations grow by as much, and so does what is `added` to the
-/// estimate's covariance.
+/// Tests whether the runs show something that the model lacks; where that may move a parameter by more than
+/// its standard deviation, the deviations grow by as much, and so does what is `added` to the estimate's
+/// covariance.
 std::optional<SystematicRecord> count_misfit(const Estimate& joint, std::span<const Run> runs,
                                              std::span<const std::uint8_t> motions, ParameterVector& sd,
                                              ParameterMatrix& added) {

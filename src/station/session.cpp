@@ -353,11 +353,10 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   if (judgement.undecided && is_by_output_errors()) record.reason += advice_on_method(record, facts.sd);
   if (record.systematic && record.systematic->marked && is_about_the_brake(record.verdict))
     record.reason += fmt::format(
-        " Note: the model does not explain all of this brake's motion (systematic residual {:.2g} times the "
-        "noise of one repeat); the uncertainties count it. `clampctl results {} --runs DIR` writes its runs "
-        "for "
-        "`clampctl diagnose`.",
-        record.systematic->over_noise, record.id);
+        " Note: the model does not explain all of this brake's motion, and a parameter may be off by up to "
+        "{:.2g} standard deviations of its noise; the uncertainties count it. `clampctl results {} --runs "
+        "DIR` writes its runs for `clampctl diagnose`.",
+        record.systematic->moved_sd, record.id);
   if (!configuration_.check.diagnose) return record;
   // Runs that nothing explains, or something else than the model, say nothing about limits: still an ERROR.
   if (judgement.unexplained && name_cause(record) && !record.cause && facts.other_method.empty())

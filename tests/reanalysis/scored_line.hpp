@@ -8,7 +8,7 @@
 #include <fmt/format.h>
 
 #include "bench/embedded_check.hpp"
-#include "clampd/diagnose/effect_scores.hpp"
+#include "clampd/identify/effect_scores.hpp"
 #include "clampd/station/cause.hpp"
 #include "drivers/sim/effects.hpp"
 #include "support/drawn_brake.hpp"

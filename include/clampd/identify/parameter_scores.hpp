@@ -1,6 +1,7 @@
 #pragma once
 
 #include <span>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -17,6 +18,12 @@ struct ParameterScores {
   double largest_innovation = 0.0;  ///< over its standard deviation, before anything follows
   Eigen::VectorXd gradient;
   Eigen::MatrixXd information;
+  /// Of each run alone; they add up to the above.
+  struct OfRun {
+    Eigen::VectorXd gradient;
+    Eigen::MatrixXd information;
+  };
+  std::vector<OfRun> of_runs;
 };
 
 /// By the extended Kalman filter of fit_extended(); the noise is the estimate's. The parameters of the

@@ -8,7 +8,7 @@
 
 #include "clampd/attribution/population.hpp"
 #include "clampd/base/result.hpp"
-#include "clampd/diagnose/effect_scores.hpp"
+#include "clampd/identify/effect_scores.hpp"
 
 namespace clampd::reanalysis {
 

@@ -107,10 +107,10 @@ struct CauseRecord {
   bool operator==(const CauseRecord&) const = default;
 };
 
-/// What the repeats of a check have in common beside the model, as its test has it.
+/// What the runs of a check show that the model lacks (systematic_misfit).
 struct SystematicRecord {
   double p_value = 1.0;     ///< chance that noise alone shows as much
-  double over_noise = 0.0;  ///< rms of what they have in common over that of one repeat's noise
+  double over_noise = 0.0;  ///< rms of what repeats have in common over that of one repeat's noise
   double moved_sd = 0.0;    ///< the most that it may move a parameter, over its sd by the noise alone
   bool marked = false;      ///< significant, and it may move a parameter by more than that sd: sd count it
 

@@ -6,7 +6,7 @@
 #include <nlohmann/json_fwd.hpp>
 
 #include "clampd/attribution/population.hpp"
-#include "clampd/diagnose/effect_scores.hpp"
+#include "clampd/brake/effect_direction.hpp"
 
 namespace clampd {
 

@@ -5,7 +5,7 @@
 
 #include "clampd/brake/effect.hpp"
 
-namespace clampd::diagnosing {
+namespace clampd {
 
 /// Every combination of the values that an effect's parameters may have: `values_of(i)` gives those of
 /// parameter i; of a refinement the first one counts.
@@ -27,4 +27,4 @@ std::vector<std::vector<double>> combinations(const Effect& effect, const Values
   return list;
 }
 
-}  // namespace clampd::diagnosing
+}  // namespace clampd

@@ -1,4 +1,4 @@
-#include "clampd/diagnose/effect_scores.hpp"
+#include "clampd/identify/effect_scores.hpp"
 
 #include <algorithm>
 #include <cmath>
