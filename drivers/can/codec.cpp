@@ -1,12 +1,13 @@
 #include "drivers/can/codec.hpp"
 
-#include <fmt/core.h>
+#include <fmt/format.h>
 
 #include <algorithm>
 #include <cmath>
 #include <map>
 #include <numbers>
 #include <optional>
+#include <string_view>
 #include <utility>
 
 #include "clampd/base/clock.hpp"
@@ -120,12 +121,37 @@ Result<FrameLayout> frame_layout(const Database& database, const Message& messag
     return failure(fmt::format("{}: {} cannot be relied on: mend the file", message.defects.front(), where));
   const auto format = frame_format(database, message, mapping, where);
   if (!format) return failure(format.error().message);
-  auto protection = FrameProtection::build(message, mapping.counter, mapping.crc, mapping.protection, where);
+  const auto counter = own_name(message, mapping.counter);
+  if (!counter) return failure(fmt::format("{}: {}", where, counter.error().message));
+  const auto crc = own_name(message, mapping.crc);
+  if (!crc) return failure(fmt::format("{}: {}", where, crc.error().message));
+  auto protection = FrameProtection::build(message, *counter, *crc, mapping.protection, where);
   if (!protection) return failure(protection.error().message);
   return FrameLayout{message.id, static_cast<std::uint8_t>(message.size_bytes), *format, *protection};
 }
 
 }  // namespace
+
+Result<std::string> own_name(const Message& message, const std::vector<std::string>& names) {
+  std::vector<std::string> own;
+  for (const std::string& name : names) {
+    const std::size_t dot = name.find('.');
+    const bool is_for_this =
+        dot == std::string::npos || std::string_view{name}.substr(0, dot) == message.name;
+    std::string signal = dot == std::string::npos ? name : name.substr(dot + 1);
+    if (is_for_this && message.find_signal(signal) != nullptr &&
+        std::find(own.begin(), own.end(), signal) == own.end())
+      own.push_back(std::move(signal));
+  }
+  if (own.size() > 1)
+    return failure(fmt::format(
+        "it has {} of the names in [can.mapping]: {}; write the one that is meant there as \"{}.{}\", and "
+        "leave out the other names that it has",
+        own.size(), fmt::join(own, ", "), message.name, own.front()));
+  if (own.empty())
+    return names.empty() ? std::string() : std::string(fmt::format("{}", fmt::join(names, " or ")));
+  return own.front();
+}
 
 Frame FrameLayout::blank() const noexcept {
   Frame frame{id, size, {}, format};
@@ -217,7 +243,8 @@ class CodecBuilder {
 
   Result<ProtocolCodec> build() {
     const Result<void> outcome =
-        add_command()
+        check_names()
+            .and_then([&] { return add_command(); })
             .and_then([&] { return check_setpoint(); })
             .and_then([&] { return add_feedback(); })
             .and_then([&] { return choose_multiplexors(); })
@@ -229,6 +256,45 @@ class CodecBuilder {
   }
 
  private:
+  /// Whatever the file does not have, all of it at once.
+  Result<void> check_names() const {
+    std::vector<std::string> problems;
+    for (const auto& [what, name] :
+         {std::pair(is_told_velocity() ? "velocity command" : "torque command", &setpoint_name()),
+          {"enable", &mapping_.enable},
+          {"force", &mapping_.force},
+          {"velocity", &mapping_.velocity},
+          {"torque", &mapping_.torque},
+          {"position", &mapping_.position},
+          {"sample clock", &mapping_.sample_clock},
+          {"enabled", &mapping_.enabled},
+          {"watchdog", &mapping_.watchdog},
+          {"fault", &mapping_.fault}}) {
+      if (name->empty()) continue;
+      if (const auto place = find(database_, what, *name); !place) problems.push_back(place.error().message);
+    }
+    for (const auto& [role, names] : {std::pair("counter", &mapping_.counter), {"crc", &mapping_.crc}})
+      for (const std::string& name : *names)
+        if (is_chosen_among_messages(name, names->size()) && !is_in_a_message(name))
+          problems.push_back(
+              fmt::format("{}: no message of {} has a signal {}; correct the name there or in [can.mapping]",
+                          role, database_.file, name));
+    if (problems.empty()) return {};
+    return failure(fmt::format("{}", fmt::join(problems, "\n")));
+  }
+
+  /// One name for all messages is looked for in each of them.
+  static bool is_chosen_among_messages(const std::string& name, std::size_t names) {
+    return names > 1 || name.find('.') != std::string::npos;
+  }
+
+  bool is_in_a_message(const std::string& name) const {
+    return std::any_of(database_.messages.begin(), database_.messages.end(), [&](const Message& message) {
+      const auto own = own_name(message, {name});
+      return own && message.find_signal(*own) != nullptr;
+    });
+  }
+
   template <class Units>
   Result<const Message*> command_field(std::string_view what, const std::string& name, const Units& units,
                                        Field& field) {
@@ -257,10 +323,12 @@ class CodecBuilder {
   /// Counter and checksum are written into each frame, whatever else may be mapped there.
   Result<Place> value_place(std::string_view what, const std::string& name) const {
     auto place = find(database_, what, name);
-    if (place && (place->signal->name == mapping_.counter || place->signal->name == mapping_.crc))
-      return failure(fmt::format(
-          "{}: {} in {} is what [can.mapping] names as {}; name a signal that has the value", what, name,
-          database_.file, place->signal->name == mapping_.counter ? "counter" : "crc"));
+    if (!place) return place;
+    for (const auto& [role, names] : {std::pair("counter", &mapping_.counter), {"crc", &mapping_.crc}})
+      if (own_name(*place->message, *names) == place->signal->name)
+        return failure(
+            fmt::format("{}: {} in {} is what [can.mapping] names as {}; name a signal that has the value",
+                        what, name, database_.file, role));
     return place;
   }
 
@@ -427,8 +495,12 @@ class CodecBuilder {
                                  request.message));
     // Such frames seldom have the counter and the checksum that the cyclic ones have.
     ProtocolMapping own = mapping_;
-    if (message->find_signal(own.counter) == nullptr) own.counter.clear();
-    if (message->find_signal(own.crc) == nullptr) {
+    const auto has = [&](const std::vector<std::string>& names) {
+      const auto name = own_name(*message, names);
+      return !name || message->find_signal(*name) != nullptr;
+    };
+    if (!has(own.counter)) own.counter.clear();
+    if (!has(own.crc)) {
       own.crc.clear();
       own.protection.checksum = Checksum::None;
     }
@@ -437,7 +509,8 @@ class CodecBuilder {
     SequenceStep step{layout->blank(), layout->protection, std::llround(request.wait_ms * 1e6)};
     for (const auto& [name, value] : request.signals) {
       const Signal* signal = message->find_signal(name);
-      if (signal == nullptr || name == own.counter || name == own.crc || !Field::fits(*signal))
+      if (signal == nullptr || own_name(*message, own.counter) == name ||
+          own_name(*message, own.crc) == name || !Field::fits(*signal))
         return failure(fmt::format("{}: message {} of {} has no signal {} that can be set; it has {}", where,
                                    message->name, database_.file, name, names_of(*message)));
       const Field field(*signal, 1.0);

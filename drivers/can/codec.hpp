@@ -24,7 +24,8 @@
 namespace clampd::can {
 
 /// Where in the DBC file what stands, as "Message.Signal". The defaults fit configs/brake.dbc.
-/// Every message named here must hold the signals `counter` and `crc`, shaped as the protection wants them.
+/// Every message named here must hold one of the signals `counter` and one of `crc`, shaped as the protection
+/// wants them.
 struct ProtocolMapping {
   /// Exactly one of the two: what the brake is told. The other is empty.
   std::string torque_command = "BrakeCommand.TorqueCommand";
@@ -38,8 +39,9 @@ struct ProtocolMapping {
   std::string enabled = "BrakeFeedback.Enabled";        ///< empty if the brake has none, so the next two
   std::string watchdog = "BrakeFeedback.Watchdog";
   std::string fault = "BrakeFeedback.Fault";
-  std::string counter = "AliveCounter";
-  std::string crc = "Crc";
+  /// Names of the signal in any message, or "Message.Signal"; empty: the frames carry none.
+  std::vector<std::string> counter = std::vector<std::string>(1, "AliveCounter");
+  std::vector<std::string> crc = std::vector<std::string>(1, "Crc");
   ProtectionDescription protection;
   std::vector<FrameRequest> startup;   ///< what wakes the brake, before it sends or obeys
   std::vector<FrameRequest> shutdown;  ///< what is sent when the station ends, after the last command
@@ -50,6 +52,10 @@ struct ProtocolMapping {
   /// FD; their data are sent faster.
   bool fast_data = false;
 };
+
+/// The one signal of a message that is among these names of counters or checksums. Without one: all
+/// names, "A or B", for whoever says that none is there. Error: the message has several of them.
+Result<std::string> own_name(const Message& message, const std::vector<std::string>& names);
 
 inline constexpr std::size_t kMaxFeedbackFrames = 4;
 

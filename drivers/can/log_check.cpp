@@ -119,14 +119,15 @@ std::vector<Watched> watch(const Database& database, const ProtocolCodec& codec)
 std::vector<std::string> fitting_checksums(const FrameLog& log, const Message& message,
                                            const FrameLayout& layout, const ProtocolMapping& mapping) {
   std::vector<std::string> fitting;
+  const auto counter = own_name(message, mapping.counter), crc = own_name(message, mapping.crc);
+  if (!counter || !crc) return fitting;
   for (std::size_t i = 0; i < kChecksumNames.size(); ++i) {
     ProtectionDescription description;
     description.checksum = static_cast<Checksum>(i);
     if (description.checksum == mapping.protection.checksum || description.checksum == Checksum::None ||
         description.checksum == Checksum::Crc)
       continue;
-    const auto protection =
-        FrameProtection::build(message, mapping.counter, mapping.crc, description, message.name);
+    const auto protection = FrameProtection::build(message, *counter, *crc, description, message.name);
     if (!protection) continue;
     std::size_t tried = 0, matching = 0;
     for (const LoggedFrame& logged : log.frames) {

@@ -160,7 +160,8 @@ class FrameProtection::Builder {
     if (signal == nullptr && wanted.empty()) return "; [can.mapping] names none";
     if (signal == nullptr)
       return fmt::format(
-          "; it has no signal {}: give its own that name in the DBC file, the same in all messages", wanted);
+          "; it has no signal {}: name its own in [can.mapping], too, as a list of the names in all messages",
+          wanted);
     return fmt::format("; there it is {} bits from bit {} on, scale {:g}, offset {:g}", signal->bits,
                        signal->start_bit, signal->scale, signal->offset);
   }

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <filesystem>
+#include <set>
 #include <string_view>
 #include <utility>
 
@@ -25,8 +26,10 @@ constexpr const char* kInstalledConfiguration = "/etc/clampd/station.toml";
 
 struct MappingRole {
   std::string_view role;
-  std::string can::ProtocolMapping::*signal;
+  std::string can::ProtocolMapping::*signal = nullptr;
   bool needed = true;  ///< false: a brake may do without, and an empty name says so
+  /// In the place of `signal`: of each message one of several names.
+  std::vector<std::string> can::ProtocolMapping::*names = nullptr;
 };
 
 constexpr std::array kMappingRoles{
@@ -41,8 +44,8 @@ constexpr std::array kMappingRoles{
     MappingRole{"enabled", &can::ProtocolMapping::enabled, false},
     MappingRole{"watchdog", &can::ProtocolMapping::watchdog, false},
     MappingRole{"fault", &can::ProtocolMapping::fault, false},
-    MappingRole{"counter", &can::ProtocolMapping::counter, false},
-    MappingRole{"crc", &can::ProtocolMapping::crc, false},
+    MappingRole{"counter", nullptr, false, &can::ProtocolMapping::counter},
+    MappingRole{"crc", nullptr, false, &can::ProtocolMapping::crc},
 };
 
 Result<can::ProtectionDescription> protection(const StationConfiguration& configuration) {
@@ -80,6 +83,7 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
     mapping.startup.push_back({frame.message, frame.signals, frame.wait_ms});
   for (const CanSequenceFrame& frame : configuration.can.shutdown)
     mapping.shutdown.push_back({frame.message, frame.signals, frame.wait_ms});
+  std::set<std::string_view> listed;
   for (const auto& [role, signal] : configuration.can.mapping) {
     bool known = false;
     for (const MappingRole& candidate : kMappingRoles) {
@@ -90,7 +94,12 @@ Result<can::ProtocolMapping> protocol_mapping(const StationConfiguration& config
                         "the DBC file that "
                         "has it, or leave the line out for the default, \"{}\"",
                         configuration.file, role, mapping.*candidate.signal));
-      mapping.*candidate.signal = signal;
+      if (candidate.names == nullptr) {
+        mapping.*candidate.signal = signal;
+      } else {
+        if (listed.insert(role).second) (mapping.*candidate.names).clear();
+        if (!signal.empty()) (mapping.*candidate.names).push_back(signal);
+      }
       known = true;
     }
     if (!known) {

@@ -483,9 +483,19 @@ void read_can_mapping(TableReader& can, const std::string& file, std::optional<E
   if (table == nullptr) return;
   TableReader roles(*table, "can.mapping", file, error);
   for (const std::string_view role : kMappingRoles) {
-    std::string name;
-    roles.text(role, name);
-    if (roles.has(role)) mapping.emplace_back(std::string(role), std::move(name));
+    const toml::node* node = roles.at(role);
+    if (node == nullptr) continue;
+    std::vector<std::string> names(1);
+    const bool may_be_several = role == "counter" || role == "crc";
+    if (may_be_several && node->is_array()) {
+      roles.texts(role, names);
+      if (names.empty() || std::find(names.begin(), names.end(), "") != names.end())
+        roles.refuse(role, fmt::format("{} must name signals; {} = \"\" says that the frames carry none",
+                                       roles.name(role), role));
+    } else {
+      roles.text(role, names.front());
+    }
+    for (std::string& name : names) mapping.emplace_back(std::string(role), std::move(name));
   }
   roles.finish();
 }

@@ -52,7 +52,7 @@ const std::array<ProtocolCodec, 3>& codecs() {
     ProtocolMapping clockless;
     clockless.sample_clock = "";
     ProtocolMapping uncounted = clockless;
-    uncounted.counter = "";
+    uncounted.counter = {};
     return std::array{codec_of({}), codec_of(clockless), codec_of(uncounted)};
   }();
   return codecs;

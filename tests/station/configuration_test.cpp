@@ -269,6 +269,8 @@ bitrate = 500000
 [can.mapping]
 force = "Caliper.ClampForce"
 position = ""
+counter = ["CommandCount", "Caliper.Count"]
+crc = "Checksum"
 [supervisor]
 over_force_N = 31000
 [check]
@@ -288,8 +290,10 @@ port = 9000
   EXPECT_FALSE(configuration->embedded());
   EXPECT_FALSE(configuration->simulated_brake);
   EXPECT_EQ(configuration->can.dbc, "/etc/clampd/other/brake.dbc");
-  EXPECT_THAT(configuration->can.mapping,
-              ElementsAre(Pair("force", "Caliper.ClampForce"), Pair("position", "")));
+  EXPECT_THAT(
+      configuration->can.mapping,
+      ElementsAre(Pair("force", "Caliper.ClampForce"), Pair("position", ""), Pair("counter", "CommandCount"),
+                  Pair("counter", "Caliper.Count"), Pair("crc", "Checksum")));
   EXPECT_EQ(configuration->supervisor.over_force_N, 31000.0);
   EXPECT_EQ(configuration->check.repeats, 3u);
   EXPECT_EQ(configuration->check.trajectory, "/data/t.csv");
@@ -386,6 +390,12 @@ INSTANTIATE_TEST_SUITE_P(
                 "1:", "must be written as [[can.startup]]"},
         Refused{"shutdown_waits", "[[can.shutdown]]\nmessage = \"M\"\nwait_ms = 5\n",
                 "3:1: ", "unknown key wait_ms"},
+        Refused{"no_counter_in_a_list", "[can]\ninterface = \"can0\"\n[can.mapping]\ncounter = []\n",
+                "4:11: ",
+                "can.mapping.counter must name signals; counter = \"\" says that the frames carry none"},
+        Refused{"forces_in_a_list",
+                "[can]\ninterface = \"can0\"\n[can.mapping]\nforce = [\"a.b\", \"a.c\"]\n",
+                "4:9: ", "can.mapping.force must be"},
         Refused{"unknown_role", "[can]\ninterface = \"can0\"\n[can.mapping]\nforces = \"a.b\"\n",
                 "4:1: ", "did you mean force?"},
         Refused{"wrong_type", "[check]\nrepeats = \"20\"\n",

@@ -8,11 +8,13 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -35,8 +37,15 @@ std::filesystem::path vehicle_folder() {
   return support::shared_data("data/dbc");
 }
 
-/// Roles of [can.mapping] and their signals.
+/// Roles of [can.mapping] and their signals; counter and crc may have several, "A, B".
 using Roles = std::map<std::string, std::string>;
+
+std::vector<std::string> names_in(const std::string& list) {
+  std::vector<std::string> names;
+  std::istringstream text(list);
+  for (std::string name; std::getline(text >> std::ws, name, ',');) names.push_back(name);
+  return names;
+}
 
 /// What a mapping leaves out where the frames carry no counter, checksum, clock or flags.
 Roles bare(Roles roles) {
@@ -65,6 +74,8 @@ class VehicleLog {
       const Signal* signal = message == nullptr ? nullptr : message->find_signal(place.substr(dot + 1));
       if (signal != nullptr) signals_[message].push_back(signal);
     }
+    counters_ = names_of(roles, "counter");
+    checksums_ = names_of(roles, "crc");
   }
 
   std::string text(int samples) const {
@@ -78,6 +89,27 @@ class VehicleLog {
   }
 
  private:
+  static std::vector<std::string> names_of(const Roles& roles, const std::string& role) {
+    const auto found = roles.find(role);
+    std::vector<std::string> names;
+    if (found != roles.end()) names = names_in(found->second);
+    for (std::string& name : names) name.erase(0, name.find('.') + 1);
+    return names;
+  }
+
+  /// A counter of four bits; then the exclusive or of all other bytes.
+  void protect(const Message& message, int k, std::vector<std::uint8_t>& data) const {
+    for (const std::string& name : counters_)
+      if (const Signal* signal = message.find_signal(name)) insert_raw(*signal, k % 16, data);
+    for (const std::string& name : checksums_) {
+      const Signal* signal = message.find_signal(name);
+      if (signal == nullptr) continue;
+      std::uint8_t all = 0;
+      for (const std::uint8_t byte : data) all ^= byte;
+      data[signal->start_bit / 8] = all;
+    }
+  }
+
   std::string line(const Message& message, const std::vector<const Signal*>& signals, double time_s,
                    int k) const {
     std::vector<std::uint8_t> data(message.size_bytes);
@@ -89,6 +121,7 @@ class VehicleLog {
           signal->has_range() ? 0.5 * (signal->maximum + signal->minimum) : 10.0 * signal->scale;
       encode(*signal, signal->bits == 1 ? 1.0 : centre + half * std::sin(0.05 * k), data);
     }
+    protect(message, k, data);
     data.resize(data.size() - shape_.missing_bytes);
     const auto format = message.attributes.find("VFrameFormat");
     const bool flexible = shape_.flexible && format != message.attributes.end() &&
@@ -108,6 +141,7 @@ class VehicleLog {
 
   LogShape shape_;
   std::map<const Message*, std::vector<const Signal*>> signals_;
+  std::vector<std::string> counters_, checksums_;
 };
 
 class VehicleCanCheck : public ::testing::Test {
@@ -137,7 +171,10 @@ class VehicleCanCheck : public ::testing::Test {
     std::string station = fmt::format("[can]\ndbc = \"{}\"\n", dbc);
     if (!roles.empty())
       station += fmt::format("[can.protection]\nchecksum = \"{}\"\n[can.mapping]\n", checksum);
-    for (const auto& [role, place] : roles) station += fmt::format("{} = \"{}\"\n", role, place);
+    for (const auto& [role, place] : roles)
+      station += place.find(',') == std::string::npos
+                     ? fmt::format("{} = \"{}\"\n", role, place)
+                     : fmt::format("{} = [\"{}\"]\n", role, fmt::join(names_in(place), "\", \""));
     folder_.write("station.toml", station);
     folder_.write("brake.log", log);
     return support::run_command(
@@ -337,6 +374,43 @@ TEST_F(VehicleCanCheck, MultiplexedSignalsAreReadFromTheFramesThatHoldThem) {
                  "is a multiplexor: it says what else is in the frame; name a signal that has the value");
 }
 
+// As vehicles have it: each message counts by a signal of its own name, and so with the checksum.
+TEST_F(VehicleCanCheck, CountersAndChecksumsHaveANameOfTheirOwnInEachMessage) {
+  const std::string rivian = file("rivian_primary_actuator.dbc");
+  Roles roles = with(kRivian, "counter",
+                     "VDM_OutputSigs_Counter, ESP_EpbStatus_Counter, SAS_Status_Counter, "
+                     "VDM_Torque_Front.VDM_Torque_Front_Counter");
+  roles = with(roles, "crc",
+               "VDM_OutputSigs_Checksum, ESP_EpbStatus_Checksum, SAS_Status_Checksum, "
+               "VDM_Torque_Front_Checksum");
+  expect_understood(check(rivian, roles, {}, "xor"), rivian);
+  // One is forgotten, is misspelt, or stands in a message that has two of them.
+  expect_refused(check(rivian, with(roles, "crc", "VDM_OutputSigs_Checksum, SAS_Status_Checksum"), {}, "xor"),
+                 rivian,
+                 "message ESP_EpbStatus of " + rivian +
+                     " needs a checksum VDM_OutputSigs_Checksum or SAS_Status_Checksum: 8 bits");
+  expect_refused(
+      check(rivian, with(roles, "counter", "VDM_OutputSigs_Counter, SAS_Status_Count"), {}, "xor"), rivian,
+      "counter: no message of " + rivian + " has a signal SAS_Status_Count; correct the name there");
+  expect_refused(
+      check(rivian, with(roles, "counter", roles.at("counter") + ", ESP_EpbStatus.ESP_EpbClampForce"), {},
+            "xor"),
+      rivian,
+      "it has 2 of the names in [can.mapping]: ESP_EpbStatus_Counter, ESP_EpbClampForce; write the "
+      "one that is meant");
+}
+
+// Who maps a brake has to mend them all.
+TEST_F(VehicleCanCheck, AllNamesThatTheFileLacksAreToldAtOnce) {
+  const std::string rivian = file("rivian_primary_actuator.dbc");
+  Roles roles = with(kRivian, "force", "ESP_EpbStatus.ClampForce");
+  roles = with(roles, "velocity", "SAS_State.SAS_Status_AngleSpeedSafe");
+  const Outcome outcome = check(rivian, with(roles, "position", "Angle"));
+  expect_refused(outcome, rivian, "force: message ESP_EpbStatus of " + rivian + " has no signal ClampForce");
+  expect_refused(outcome, rivian, "velocity: there is no message SAS_State in " + rivian);
+  expect_refused(outcome, rivian, "position: 'Angle' must read Message.Signal");
+}
+
 TEST_F(VehicleCanCheck, MappingsThatCannotWorkAreRefusedWithTheSignalAndWhatToDo) {
   const std::string tesla = file("tesla_can.dbc"), model3 = file("tesla_model3_party.dbc");
   const std::string rivian = file("rivian_primary_actuator.dbc"), hyundai = file("hyundai_i30_2014.dbc");
@@ -374,7 +448,8 @@ TEST_F(VehicleCanCheck, MappingsThatCannotWorkAreRefusedWithTheSignalAndWhatToDo
           " needs an alive counter VDM_OutputSigs_Counter: 2 to 32 bits, unsigned, "
           "scale 1, offset 0; counter = \"\" in [can.mapping] if the brake's frames carry none; it has no "
           "signal "
-          "VDM_OutputSigs_Counter: give its own that name in the DBC file, the same in all messages");
+          "VDM_OutputSigs_Counter: name its own in [can.mapping], too, as a list of the names in all "
+          "messages");
   expect_refused(check(rivian, kRivian, {}, "sae-j1850"), rivian,
                  "\"none\" if the brake's frames carry none; [can.mapping] names none");
   expect_refused(

@@ -54,7 +54,7 @@ struct CanSettings {
   double command_cycle_ms = 1.0;   ///< likewise; the slower one is a multiple of the other
   CanProtection protection;
   /// Names in this brake's DBC file by role, one of kMappingRoles; roles that are not named keep their
-  /// default.
+  /// default. Counter and crc may have several, of which each message has one.
   std::vector<std::pair<std::string, std::string>> mapping;
   std::vector<CanSequenceFrame> startup, shutdown;
 

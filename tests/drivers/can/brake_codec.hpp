@@ -26,7 +26,7 @@ inline ProtocolMapping command_and_feedback_mapping() {
   names.position = "Feedback.Position";
   names.sample_clock = "Feedback.Clock";
   names.enabled = names.watchdog = names.fault = "";
-  names.counter = "Counter";
+  names.counter = {"Counter"};
   return names;
 }
 

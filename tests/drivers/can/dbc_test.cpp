@@ -135,7 +135,8 @@ TEST_P(RealDbc, ALogIsUnderstoodOrRefusedWithTheReason) {
     mapping.torque = any("Nm");
     mapping.position = any("rad");
     mapping.sample_clock = any("us");
-    mapping.enabled = mapping.watchdog = mapping.fault = mapping.counter = mapping.crc = "";
+    mapping.enabled = mapping.watchdog = mapping.fault = "";
+    mapping.counter = mapping.crc = {};
     mapping.protection.checksum = Checksum::None;
     const auto codec = ProtocolCodec::build(candidate, mapping);
     if (!codec) {

@@ -285,7 +285,7 @@ LogFinding check_without_clock(const std::string& counter, Change change) {
   const Database database = read_dbc(CLAMPD_SOURCE_DIR "/configs/brake.dbc").value();
   ProtocolMapping mapping;
   mapping.sample_clock = "";
-  mapping.counter = counter;
+  if (counter.empty()) mapping.counter.clear();
   const ProtocolCodec codec = ProtocolCodec::build(database, mapping).value();
   BrakeProtocol brake(codec);
   FrameLog log;

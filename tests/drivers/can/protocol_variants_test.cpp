@@ -125,9 +125,9 @@ ProtocolCodec codec_of(const Variant& v) {
   mapping.sample_clock = apart ? "C.SampleClock" : "A.SampleClock";
   mapping.fault = apart ? "C.Fault" : "A.Fault";
   mapping.enabled = mapping.watchdog = "";
-  if (!v.counted) mapping.counter = "";
+  if (!v.counted) mapping.counter = {};
   if (!v.clocked) mapping.sample_clock = "";
-  if (v.checksum == Checksum::None) mapping.crc = "";
+  if (v.checksum == Checksum::None) mapping.crc = {};
   mapping.protection.checksum = v.checksum;
   mapping.fast_data = true;
   const auto codec = parse_dbc(dbc_of(v), "variant.dbc").and_then([&](const Database& database) {
