@@ -377,10 +377,9 @@ Result<PreparedCheck> prepare_check(const StationConfiguration& configuration, c
     Result<Sheet> sheet = read_sheet(configuration.sheet_file);
     if (!sheet) return tl::unexpected(sheet.error());
     if (check.model)
-      return failure(fmt::format(
-          "{}: a sheet is about the base model, and [check] model names one with effects that it does "
-          "not count: leave out one of the two",
-          sheet->file));
+      if (const Result<void> countable = check_countable(check.model->effects); !countable)
+        return failure(fmt::format("{}: {}: leave the sheet out, or the effect out of [check] model = \"{}\"",
+                                   sheet->file, countable.error().message, configuration.check.model));
     check.sheet = std::move(*sheet);
   }
   return prepare_trajectories(check).map([&] { return std::move(check); });

@@ -9,6 +9,7 @@
 
 #include <fmt/format.h>
 
+#include "clampd/brake/effect.hpp"
 #include "clampd/brake/stiffness.hpp"
 #include "clampd/statistics/distributions.hpp"
 #include "src/identify/starting_point.hpp"
@@ -106,6 +107,12 @@ ContactPoint contact_point(std::span<const Run> runs, const Estimate& estimate) 
       return not_known(fmt::format(
           "{} has no position readings: record those of the motor's encoder as column position_rad",
           run.name));
+  for (const EffectEstimate& each : estimate.effects)
+    if (const Location location = info_of(*find_effect(each.effect)).location;
+        location == Location::Stiffness || location == Location::ForceReading || location == Location::Timing)
+      return not_known(
+          fmt::format("the model has {}, without which the force does not tell by how much the pads give way",
+                      each.effect));
   const Eigen::Vector2d stiffness = estimate.parameters.theta.head<2>();
   if (!stiffness.allFinite() || estimate.initial_states.size() != runs.size())
     return not_known("there is no estimate of k1 and k2 to find it by");

@@ -401,15 +401,19 @@ void fill_base(const Precision& precision, const Held& held, Estimate& estimate)
 void fill_effects(const Extension& extension, const Precision& precision, Estimate& estimate) {
   const ExtendedParameters& model = extension.estimate().parameters;
   const ExtendedBrake shape(model);
+  std::vector<std::optional<int>> numbers;  // of ExtendedBrake's parameters, for theta and each entry
+  for (int i = 0; i < kTheta; ++i) numbers.emplace_back(i);
   for (std::size_t e = 0; e < model.effects.size(); ++e) {
     const std::size_t at = extension.place_of(e);
     const EffectInfo& info = info_of(*model.effects[at].effect);
     for (std::size_t i = 0; i < info.parameters.size(); ++i) {
       EffectEstimate entry{std::string(info.name), std::string(info.parameters[i].name),
                            std::string(info.parameters[i].unit), model.effects[at].values[i], kNaN};
+      numbers.emplace_back();
       for (int p = 0; p < shape.parameters(); ++p) {
         const ExtendedBrake::Place& place = shape.places()[static_cast<std::size_t>(p)];
         if (place.effect != static_cast<int>(at) || place.parameter != static_cast<int>(i)) continue;
+        numbers.back() = p;
         if (precision.is_set_aside(p)) {
           entry.value = kNaN;
         } else {
@@ -420,6 +424,18 @@ void fill_effects(const Extension& extension, const Precision& precision, Estima
       estimate.effects.push_back(std::move(entry));
     }
   }
+  if (!precision.unknown().empty()) return;
+  const auto size = static_cast<Eigen::Index>(numbers.size());
+  const ParameterVector nominal = nominal_parameters();
+  estimate.covariance_with_effects.setZero(size, size);
+  for (Eigen::Index i = 0; i < size; ++i)
+    for (Eigen::Index j = 0; j < size; ++j) {
+      const auto row = numbers[static_cast<std::size_t>(i)], column = numbers[static_cast<std::size_t>(j)];
+      if (!row || !column) continue;
+      estimate.covariance_with_effects(i, j) =
+          precision.covariance(*row, *column) /
+          ((i < kTheta ? nominal[i] : 1.0) * (j < kTheta ? nominal[j] : 1.0));
+    }
 }
 
 Result<void> check_extended_options(const EstimatorOptions& options) {

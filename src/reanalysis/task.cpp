@@ -105,10 +105,9 @@ std::string_view to_string(Task::Kind kind) noexcept {
 
 Result<void> check_task(const Task& task) {
   if (task.model && task.sheet)
-    return failure(fmt::format(
-        "{}: a sheet is about the base model, and the job has a model with effects that it does not count: leave "
-        "out one of the two",
-        task.sheet->file));
+    if (const Result<void> countable = check_countable(task.model->effects); !countable)
+      return failure(
+          fmt::format("{}: {}: leave out sheet or model", task.sheet->file, countable.error().message));
   return check_limits(task.limits, task.model.value_or(ExtendedParameters{}));
 }
 

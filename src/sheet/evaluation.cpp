@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "clampd/statistics/symmetric.hpp"
+#include "src/sheet/measured_brake.hpp"
 
 namespace clampd {
 namespace {
@@ -39,16 +40,48 @@ std::string missing(const CharacteristicKind& kind, const Posterior& posterior) 
   return why;
 }
 
-/// One standard deviation along each principal axis of what the kind needs, a column each, in SI.
+/// By how much each of theta / theta_nom and of the effects' parameters, in their unit, may change so that it
+/// matters.
+Eigen::VectorXd changes_that_matter(const Posterior& posterior) {
+  std::vector<double> changes(kParameterCount, 1.0);
+  for (const EffectValues& effect : posterior.effects)
+    for (const EffectParameter& parameter : info_of(*effect.effect).parameters)
+      changes.push_back(parameter.scale);
+  return Eigen::Map<const Eigen::VectorXd>(changes.data(), static_cast<Eigen::Index>(changes.size()));
+}
+
+/// One standard deviation along each principal axis of what the kind needs, and of all effects, a column
+/// each, in SI.
 Eigen::MatrixXd deviations(const CharacteristicKind& kind, const Posterior& posterior) {
-  ParameterMatrix covariance = ParameterMatrix::Zero();
-  for (const Parameter row : kind.needs)
-    for (const Parameter column : kind.needs)
-      covariance(static_cast<Eigen::Index>(row), static_cast<Eigen::Index>(column)) =
-          posterior.covariance_normalised(static_cast<Eigen::Index>(row), static_cast<Eigen::Index>(column));
+  constexpr auto kBase = static_cast<Eigen::Index>(kParameterCount);
+  Eigen::VectorXd unit = changes_that_matter(posterior);
+  std::vector<Eigen::Index> needed;
+  for (const Parameter parameter : kind.needs) needed.push_back(static_cast<Eigen::Index>(parameter));
+  for (Eigen::Index i = kBase; i < unit.size(); ++i) needed.push_back(i);
+  Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(unit.size(), unit.size());
+  if (posterior.effects.empty())
+    covariance(needed, needed) = posterior.covariance_normalised(needed, needed);
+  else
+    covariance(needed, needed) =
+        posterior.covariance_with_effects.cwiseQuotient(unit * unit.transpose())(needed, needed);
+  unit.head<kBase>() = nominal_parameters();
   const statistics::Spectrum spectrum = statistics::spectrum_of(covariance);
-  return nominal_parameters().asDiagonal() * spectrum.vectors *
-         spectrum.values.cwiseMax(0.0).cwiseSqrt().asDiagonal();
+  return unit.asDiagonal() * spectrum.vectors * spectrum.values.cwiseMax(0.0).cwiseSqrt().asDiagonal();
+}
+
+/// The brake, with every parameter moved by this much.
+ExtendedParameters moved_by(ExtendedParameters brake, const Eigen::VectorXd& change) {
+  brake.base.theta += change.head<static_cast<int>(kParameterCount)>();
+  auto next = static_cast<Eigen::Index>(kParameterCount);
+  for (EffectValues& effect : brake.effects)
+    for (double& value : effect.values) value += change[next++];
+  return brake;
+}
+
+std::optional<double> value_of(const Characteristic& line, const ExtendedParameters& brake,
+                               const NominalDrive& drive) {
+  if (brake.effects.empty()) return line.kind->value(brake.base, line.circumstances, drive);
+  return line.kind->measured(MeasuredBrake(brake), line.circumstances, drive);
 }
 
 /// The first parameter without which the equations have no meaning, if it is not above zero. The others act
@@ -88,11 +121,11 @@ CharacteristicEstimate evaluate_one(const Characteristic& line, const Posterior&
     return no_number(State::Unknown, std::move(why));
   if (kind.value == nullptr) return evaluate_contact(kind, posterior);
   // What the kind does not need may be unknown: any value does.
-  BrakeParameters centre{nominal_parameters(), posterior.parameters.fixed};
+  ExtendedParameters centre{{nominal_parameters(), posterior.parameters.fixed}, posterior.effects};
   for (const Parameter parameter : kind.needs)
-    centre.theta[static_cast<Eigen::Index>(parameter)] =
+    centre.base.theta[static_cast<Eigen::Index>(parameter)] =
         posterior.parameters.theta[static_cast<Eigen::Index>(parameter)];
-  const std::optional<double> value = kind.value(centre, line.circumstances, drive);
+  const std::optional<double> value = value_of(line, centre, drive);
   double variance = 0.0;
   int reached = value ? 1 : 0, tried = 1;
   const Eigen::MatrixXd axes = deviations(kind, posterior);
@@ -100,11 +133,10 @@ CharacteristicEstimate evaluate_one(const Characteristic& line, const Posterior&
     if (deviation.isZero(0.0)) continue;
     std::optional<double> sides[2];
     for (const int side : {0, 1}) {
-      BrakeParameters brake = centre;
-      brake.theta += (side == 0 ? 1.0 : -1.0) * deviation;
-      if (const ParameterInfo* info = meaningless(brake.theta))
+      const ExtendedParameters brake = moved_by(centre, (side == 0 ? 1.0 : -1.0) * deviation);
+      if (const ParameterInfo* info = meaningless(brake.base.theta))
         return no_number(State::Unknown, fmt::format("{} is too uncertain", info->name));
-      sides[side] = kind.value(brake, line.circumstances, drive);
+      sides[side] = value_of(line, brake, drive);
       ++tried;
       reached += sides[side] ? 1 : 0;
     }
@@ -120,14 +152,60 @@ CharacteristicEstimate evaluate_one(const Characteristic& line, const Posterior&
 
 }  // namespace
 
-Posterior posterior_of(const Estimate& estimate, const ParameterMatrix& added_normalised) {
+namespace {
+
+constexpr const char* kVagueModel = "these runs do not determine all of the model's parameters";
+
+/// Those of the estimate's effects that change the brake, and where their parameters stand among all.
+std::vector<EffectValues> effects_that_count(const Estimate& estimate, std::vector<Eigen::Index>& places) {
+  std::vector<EffectValues> counted;
+  for (std::size_t at = 0; at < estimate.effects.size();) {
+    const Effect* effect = find_effect(estimate.effects[at].effect);
+    const EffectInfo& info = info_of(*effect);
+    EffectValues values{effect, {}};
+    for (std::size_t i = 0; i < info.parameters.size(); ++i, ++at) {
+      values.values.push_back(estimate.effects[at].value);
+      if (changes_brake(info)) places.push_back(static_cast<Eigen::Index>(kParameterCount + at));
+    }
+    if (changes_brake(info)) counted.push_back(std::move(values));
+  }
+  return counted;
+}
+
+/// What a tare does to theta / theta_nom and to the effects' parameters.
+Eigen::MatrixXd tare_covariance(const Estimate& estimate, const Eigen::Vector2d& tare_sd) {
+  Eigen::MatrixXd sensitivity(estimate.covariance_with_effects.rows(), 2);
+  sensitivity.topRows<static_cast<int>(kParameterCount)>() = estimate.offset_sensitivity;
+  for (std::size_t at = 0; at < estimate.effects.size(); ++at)
+    sensitivity.row(static_cast<Eigen::Index>(kParameterCount + at)) =
+        Eigen::RowVector2d(estimate.effects[at].offset_sensitivity.data());
+  return sensitivity * tare_sd.cwiseAbs2().asDiagonal() * sensitivity.transpose();
+}
+
+}  // namespace
+
+Posterior posterior_of(const Estimate& estimate, const ParameterMatrix& added_normalised,
+                       const Eigen::Vector2d& tare_sd) {
   Posterior posterior;
   posterior.parameters = estimate.parameters;
   posterior.covariance_normalised = estimate.covariance_normalised + added_normalised;
-  if (!estimate.effects.empty())
-    posterior.unknown = "the model has effects that the sheet does not count";
-  else if (!estimate.converged() && estimate.termination != Termination::NotIdentifiable)
+  if (!estimate.converged() && estimate.termination != Termination::NotIdentifiable)
     posterior.unknown = "there is no estimate: " + estimate.message;
+  if (estimate.effects.empty() || !posterior.unknown.empty()) return posterior;
+  std::vector<Eigen::Index> places;
+  for (Eigen::Index i = 0; i < static_cast<Eigen::Index>(kParameterCount); ++i) places.push_back(i);
+  posterior.effects = effects_that_count(estimate, places);
+  if (const Result<void> countable = check_countable(posterior.effects); !countable)
+    posterior.unknown = countable.error().message;
+  else if (!posterior.effects.empty() && estimate.covariance_with_effects.size() == 0)
+    posterior.unknown = kVagueModel;
+  if (posterior.effects.empty() || !posterior.unknown.empty()) return posterior;
+  const Eigen::MatrixXd with_tare = estimate.covariance_with_effects + tare_covariance(estimate, tare_sd);
+  posterior.covariance_with_effects = with_tare(places, places);
+  if (!posterior.covariance_with_effects.allFinite()) posterior.unknown = kVagueModel;
+  posterior.covariance_with_effects
+      .topLeftCorner<static_cast<int>(kParameterCount), static_cast<int>(kParameterCount)>() =
+      posterior.covariance_normalised;
   return posterior;
 }
 

@@ -1,8 +1,11 @@
 #include <cmath>
 #include <limits>
 
+#include <fmt/format.h>
+
 #include "clampd/brake/dynamics.hpp"
 #include "clampd/sheet/sheet.hpp"
+#include "src/sheet/measured_brake.hpp"
 #include "src/sheet/response.hpp"
 
 namespace clampd {
@@ -69,6 +72,66 @@ std::optional<double> release_time_s(const BrakeParameters& parameters, const Ci
   return time_s(parameters, at, drive, false);
 }
 
+// The same on the test bench, for brakes with effects.
+
+/// What `figure` makes of the place where the brake has the force; nothing if it never has.
+template <class Figure>
+std::optional<double> at_force(const MeasuredBrake& brake, const Circumstances& at, const Figure& figure) {
+  const std::optional<double> x = brake.position_of_force(at.force_N);
+  if (!x) return std::nullopt;
+  return figure(*x);
+}
+
+std::optional<double> measured_stiffness(const MeasuredBrake& brake, const Circumstances& at,
+                                         const NominalDrive&) {
+  return at_force(brake, at, [&](double x) { return brake.slope_N_rad(x); });
+}
+
+std::optional<double> measured_drag(const MeasuredBrake& brake, const Circumstances& at,
+                                    const NominalDrive&) {
+  constexpr double kInTheClearance_rad = -1.0;
+  return brake.torque_Nm(kInTheClearance_rad, at.speed_rad_s);
+}
+
+std::optional<double> measured_hysteresis(const MeasuredBrake& brake, const Circumstances& at,
+                                          const NominalDrive&) {
+  return at_force(brake, at, [&](double x) {
+    return brake.torque_Nm(x, at.speed_rad_s) - brake.torque_Nm(x, -at.speed_rad_s);
+  });
+}
+
+std::optional<double> measured_holding_margin(const MeasuredBrake& brake, const Circumstances& at,
+                                              const NominalDrive&) {
+  return at_force(brake, at, [&](double x) { return -brake.breakaway_Nm(x, -1.0); });
+}
+
+std::optional<double> measured_least_torque(const MeasuredBrake& brake, const Circumstances& at,
+                                            const NominalDrive&) {
+  return at_force(brake, at, [&](double x) { return brake.breakaway_Nm(x, 1.0); });
+}
+
+std::optional<double> measured_time(const MeasuredBrake& brake, const Circumstances& at,
+                                    const NominalDrive& drive, bool applies) {
+  const std::optional<double> set_point = brake.position_of_force(at.force_N);
+  if (!set_point) return std::nullopt;
+  return brake.move_time_s({.from_rad = applies ? -at.clearance_rad : *set_point,
+                            .to_rad = applies ? *set_point : -at.clearance_rad,
+                            .level_rad = brake.position_of_force(at.share * at.force_N).value(),
+                            .torque_limit_Nm = at.torque_limit_Nm,
+                            .speed_limit_rad_s = at.speed_limit_rad_s},
+                           drive);
+}
+
+std::optional<double> measured_apply_time(const MeasuredBrake& brake, const Circumstances& at,
+                                          const NominalDrive& drive) {
+  return measured_time(brake, at, drive, true);
+}
+
+std::optional<double> measured_release_time(const MeasuredBrake& brake, const Circumstances& at,
+                                            const NominalDrive& drive) {
+  return measured_time(brake, at, drive, false);
+}
+
 // Forces end where the loop's own limit of 29 kN would hold it back; shares where the law's approach to its
 // target is still a motion and no creeping.
 constexpr CircumstanceInfo kForce{"force_N", &Circumstances::force_N, 500.0, 27e3, true};
@@ -92,7 +155,9 @@ std::span<const CharacteristicKind> characteristic_kinds() {
        {k1, k2, TC, Ts0, Tv, mus, ws},
        1e-3,
        3.0,
-       apply_time_s},
+       apply_time_s,
+       false,
+       measured_apply_time},
       {"release-time",
        "s",
        "from the command until the force has fallen to a share of its set point",
@@ -100,7 +165,9 @@ std::span<const CharacteristicKind> characteristic_kinds() {
        {k1, k2, TC, Ts0, Tv, mus, ws},
        1e-3,
        3.0,
-       release_time_s},
+       release_time_s,
+       false,
+       measured_release_time},
       {"drag",
        "N m",
        "torque that turns the motor in the clearance",
@@ -108,7 +175,9 @@ std::span<const CharacteristicKind> characteristic_kinds() {
        {TC, Ts0, Tv, ws},
        0.0,
        3.0,
-       drag_Nm},
+       drag_Nm,
+       false,
+       measured_drag},
       {"hysteresis",
        "N m",
        "torque when applying less that when releasing, at one force and speed",
@@ -116,7 +185,9 @@ std::span<const CharacteristicKind> characteristic_kinds() {
        {TC, Ts0, Tv, mus, ws},
        0.0,
        6.0,
-       hysteresis_Nm},
+       hysteresis_Nm,
+       false,
+       measured_hysteresis},
       {"holding-margin",
        "N m",
        "static friction less the load's torque, without current",
@@ -124,7 +195,9 @@ std::span<const CharacteristicKind> characteristic_kinds() {
        {Ts0, mus},
        -3.0,
        3.0,
-       holding_margin_Nm},
+       holding_margin_Nm,
+       false,
+       measured_holding_margin},
       {"least-torque",
        "N m",
        "torque that reaches the force from standstill",
@@ -132,8 +205,19 @@ std::span<const CharacteristicKind> characteristic_kinds() {
        {Ts0, mus},
        0.0,
        3.0,
-       least_torque_Nm},
-      {"stiffness", "N/rad", "force over motor angle", {kForce}, {k1, k2}, 1.0, 1e5, stiffness_N_rad},
+       least_torque_Nm,
+       false,
+       measured_least_torque},
+      {"stiffness",
+       "N/rad",
+       "force over motor angle",
+       {kForce},
+       {k1, k2},
+       1.0,
+       1e5,
+       stiffness_N_rad,
+       false,
+       measured_stiffness},
       {"contact-point",
        "rad",
        "reading of the motor's encoder at which the pads begin to touch",
@@ -153,6 +237,26 @@ std::span<const CharacteristicKind> characteristic_kinds() {
        true},
   };
   return kKinds;
+}
+
+bool changes_brake(const EffectInfo& effect) {
+  return effect.location == Location::TorqueBalance || effect.location == Location::Stiffness;
+}
+
+Result<void> check_countable(std::span<const EffectValues> effects) {
+  for (const EffectValues& values : effects) {
+    const EffectInfo& info = info_of(*values.effect);
+    if (!changes_brake(info)) continue;
+    if (info.states > 0 || info.order_scan || info.differs_by_run)
+      return failure(
+          fmt::format("a sheet cannot count {} ({}): with it a brake's figures depend on {}, which no line "
+                      "of a sheet says",
+                      info.name, info.cause,
+                      info.states > 0   ? "what it did before"
+                      : info.order_scan ? "where its motor stands"
+                                        : "how often it was clamped"));
+  }
+  return {};
 }
 
 }  // namespace clampd

@@ -10,8 +10,6 @@
 namespace clampd {
 namespace {
 
-constexpr int kHalvings = 60;
-
 /// What the station's loop makes of a state that it knows.
 double commanded_Nm(const PaperBrake& brake, const BrakeState& state, const Move& move,
                     const NominalDrive& drive) {

@@ -24,6 +24,8 @@ std::optional<double> move_time_s(const PaperBrake& brake, const Move& move, con
 
 inline constexpr double kLongestMove_s = 3.0;
 
+inline constexpr int kHalvings = 60;  ///< of an interval, until nothing is left of it
+
 /// The instant within a period, as a share of it, at which a cubic through both ends' positions and
 /// velocities passes the level, which lies between the ends.
 double passing_share(const BrakeState& before, const BrakeState& after, double level_rad, double period_s);

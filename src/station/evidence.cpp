@@ -23,7 +23,7 @@ ParameterMatrix tare_covariance_normalised(const Estimate& joint, const Tare& ta
 
 Posterior posterior_of_check(const Estimate& joint, const ParameterMatrix& added, std::span<const Run> runs,
                              const Tare& tare, std::optional<double> found_rad) {
-  Posterior posterior = posterior_of(joint, added);
+  Posterior posterior = posterior_of(joint, added, offset_sd(tare));
   posterior.found_rad = found_rad;
   posterior.contact = contact_point(runs, joint);
   const double force_variance_N2 = std::pow(offset_sd(tare)[0], 2);

@@ -105,8 +105,9 @@ TEST(Task, SaysWhatIsWrong) {
   EXPECT_THAT(with("validity", nlohmann::ordered_json::object()), HasSubstr("skipped_ticks_max"));
   EXPECT_THAT(with("tare_samples", "many"), HasSubstr("cannot be read"));
   EXPECT_THAT(with("sheet", {{"file", "my.toml"}, {"text", "revision = 3"}}), HasSubstr("my.toml"));
+  task["model"] = "[[effect]]\nname = \"backlash\"\nplay = 0.2\n";
   EXPECT_THAT(with("sheet", nlohmann::ordered_json::parse(format_task(a_task_with_a_sheet()))["sheet"]),
-              HasSubstr("a sheet is about the base model"));
+              HasSubstr("a sheet cannot count backlash"));
 }
 
 }  // namespace

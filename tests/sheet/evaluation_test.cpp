@@ -2,12 +2,14 @@
 
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <random>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "clampd/brake/integrator.hpp"
+#include "src/sheet/measured_brake.hpp"
 #include "src/sheet/response.hpp"
 
 namespace clampd {
@@ -217,8 +219,81 @@ TEST(SheetEvaluation, NothingIsKnownWithoutAnEstimateOrOfAModelWithEffects) {
   estimate.termination = Termination::Converged;
   estimate.covariance_normalised = good_posterior().covariance_normalised;
   EXPECT_EQ(evaluate_one("drag", kAt, posterior_of(estimate)).state, State::Known);
-  estimate.effects.push_back({"some-effect", "size", "1", 0.1, 0.01});
-  EXPECT_THAT(evaluate_one("drag", kAt, posterior_of(estimate)).why, HasSubstr("effects"));
+  estimate.effects.push_back({"backlash", "play", "rad", 0.1, 0.01});
+  EXPECT_THAT(evaluate_one("drag", kAt, posterior_of(estimate)).why,
+              HasSubstr("depend on what it did before"));
+}
+
+/// Of a check with this effect in its model, its strength known to `sd` and everything else as above.
+Estimate estimate_with(const EffectEstimate& strength) {
+  Estimate estimate;
+  estimate.termination = Termination::Converged;
+  estimate.covariance_normalised = good_posterior().covariance_normalised;
+  estimate.effects = {strength};
+  estimate.covariance_with_effects.setZero(8, 8);
+  estimate.covariance_with_effects.topLeftCorner<7, 7>() = estimate.covariance_normalised;
+  estimate.covariance_with_effects(7, 7) = strength.sd * strength.sd;
+  return estimate;
+}
+
+// Put on the bench, a brake whose effect is nothing does what the closed forms say.
+TEST(SheetMeasured, ABrakeWithoutEffectIsThatOfTheClosedForms) {
+  BrakeParameters brake;
+  brake.theta = nominal_parameters().cwiseProduct(
+      (ParameterVector() << 1.1, 0.95, 1.2, 0.9, 1.3, 1.05, 0.8).finished());
+  const EffectValues none{find_effect("quadratic-drag"), {0.0}};
+  for (const CharacteristicKind& kind : kinds_of_parameters()) {
+    const std::optional<double> value = kind.measured(MeasuredBrake({brake, {none}}), kAt, {});
+    ASSERT_TRUE(value) << kind.name;
+    EXPECT_NEAR(*value / kind.value(brake, kAt, {}).value(), 1.0, 2e-4) << kind.name;
+  }
+  Circumstances never = kAt;
+  never.force_N = 5e4;
+  BrakeParameters soft;
+  soft.theta[k2] *= 0.6;
+  for (const CharacteristicKind& kind : kinds_of_parameters())
+    EXPECT_EQ(kind.measured(MeasuredBrake({soft, {none}}), never, {}).has_value(), kind.name == "drag")
+        << kind.name;
+}
+
+TEST(SheetMeasured, WhatAnEffectDoesIsCountedWithItsUncertainty) {
+  // 3e-6 N m s^2/rad^2 at 50 rad/s, known to 1e-6.
+  const Estimate estimate = estimate_with({"quadratic-drag", "coefficient", "N m s^2/rad^2", 3e-6, 1e-6});
+  const CharacteristicEstimate with = evaluate_one("drag", kAt, posterior_of(estimate));
+  const CharacteristicEstimate without = evaluate_one("drag", kAt, good_posterior());
+  ASSERT_EQ(with.state, State::Known) << with.why;
+  EXPECT_NEAR(with.value - without.value, 3e-6 * 2500.0, 1e-6);
+  EXPECT_NEAR(with.sd, std::hypot(without.sd, 1e-6 * 2500.0), 1e-5);
+  // Without current a drag does nothing.
+  EXPECT_NEAR(evaluate_one("holding-margin", kAt, posterior_of(estimate)).value, 0.2308, 1e-6);
+  // A tare that moves it counts, too.
+  Estimate tared = estimate;
+  tared.effects[0].offset_sensitivity = {0.0, 1e-5};
+  EXPECT_NEAR(evaluate_one("drag", kAt, posterior_of(tared, ParameterMatrix::Zero(), {0.0, 0.2})).sd,
+              std::hypot(with.sd, 2e-6 * 2500.0), 1e-5);
+}
+
+// Friction that is greater by 0.02 N m when the brake applies, and as much less when it releases.
+TEST(SheetMeasured, DirectionsDiffer) {
+  const MeasuredBrake brake({{}, {{find_effect("friction-asymmetry"), {0.02, 0.0, 1.0}}}});
+  const auto change = [&](std::string_view kind) {
+    return line(kind, kAt).kind->measured(brake, kAt, {}).value() - value_of(kind, kAt);
+  };
+  EXPECT_NEAR(change("drag"), 0.02, 1e-6);
+  EXPECT_NEAR(change("least-torque"), 0.02, 1e-6);
+  EXPECT_NEAR(change("holding-margin"), -0.02, 1e-6);
+  EXPECT_NEAR(change("hysteresis"), 0.0, 5e-6);
+  EXPECT_NEAR(change("stiffness"), 0.0, 1e-3);
+}
+
+// A reading that is late makes no other brake.
+TEST(SheetMeasured, EffectsInTheReadingsLeaveTheClosedForms) {
+  const Posterior posterior = posterior_of(estimate_with({"force-lag", "time_constant", "s", 1e-3, 1e-4}));
+  for (const CharacteristicKind& kind : kinds_of_parameters()) {
+    EXPECT_EQ(evaluate_one(kind.name, kAt, posterior).value,
+              evaluate_one(kind.name, kAt, good_posterior()).value);
+    EXPECT_EQ(evaluate_one(kind.name, kAt, posterior).sd, evaluate_one(kind.name, kAt, good_posterior()).sd);
+  }
 }
 
 TEST(SheetEvaluation, WhatIsAddedToTheCovarianceCounts) {

@@ -41,15 +41,24 @@ class Bench {
   sim::SimulatedBrake brake_;
 };
 
-double friction_Nm(const BrakeParameters& brake, double force_N, double speed_rad_s) {
-  const ParameterVector& p = brake.theta;
-  return p[TC] + (p[Ts0] + p[mus] * force_N - p[TC]) / (1.0 + std::pow(speed_rad_s / p[ws], 2)) +
-         p[Tv] * speed_rad_s;
+/// Against a motion in this direction.
+double friction_Nm(const sim::PlantConfiguration& plant, double force_N, double speed_rad_s,
+                   double direction) {
+  const ParameterVector& p = plant.brake.theta;
+  const double coulomb_Nm = p[TC] + plant.effects.coulomb_load_Nm_N * force_N;
+  return coulomb_Nm + (p[Ts0] + p[mus] * force_N - coulomb_Nm) / (1.0 + std::pow(speed_rad_s / p[ws], 2)) +
+         (p[Tv] + plant.effects.quadratic_drag_Nm_s2_rad2 * speed_rad_s) * speed_rad_s +
+         plant.effects.friction_asymmetry_Nm * direction;
+}
+
+double force_at(const sim::PlantConfiguration& plant, double x) {
+  const ParameterVector& p = plant.brake.theta;
+  return ((plant.effects.stiffness_shape_N_rad4 * x + p[k1]) * x + p[k2]) * x * x;
 }
 
 /// Where the force is, found by going there.
-std::optional<double> position_rad(const BrakeParameters& brake, double force_N) {
-  const auto force = [&](double x) { return brake.theta[k1] * x * x * x + brake.theta[k2] * x * x; };
+std::optional<double> position_rad(const sim::PlantConfiguration& plant, double force_N) {
+  const auto force = [&](double x) { return force_at(plant, x); };
   double x = 0.0;
   for (double step = 1.0; step > 1e-10; step /= 2.0)
     while (force(x + step) < force_N) {
@@ -61,16 +70,17 @@ std::optional<double> position_rad(const BrakeParameters& brake, double force_N)
 
 /// The law of the loop's moves with what an observer knows at its best.
 double move_torque(const sim::Truth& now, double to_rad, const Circumstances& at,
-                   const BrakeParameters& brake) {
+                   const sim::PlantConfiguration& plant) {
   const NominalDrive drive;
   const double speed = std::abs(now.velocity_rad_s);
+  const double direction = speed > 0.0 ? now.velocity_rad_s / speed : to_rad > now.position_rad ? 1.0 : -1.0;
   const MotionState motion{now.position_rad, now.velocity_rad_s,
-                           friction_Nm(brake, now.force_N, speed) -
+                           friction_Nm(plant, now.force_N, speed, direction) -
                                drive.dry_friction_Nm(speed, now.force_N) - drive.viscous_Nm_s_rad * speed};
   const double x = std::max(now.position_rad, 0.0);
   return limited_torque_Nm(move_torque_Nm(to_rad, at.speed_limit_rad_s, drive, motion, now.force_N),
                            {.torque_Nm = at.torque_limit_Nm}, drive, now.velocity_rad_s, now.force_N,
-                           x * (3.0 * brake.theta[k1] * x + 2.0 * brake.theta[k2]));
+                           (force_at(plant, x + 1e-3) - force_at(plant, x - 1e-3)) / 2e-3);
 }
 
 std::optional<double> time_of_move(const sim::PlantConfiguration& plant, double from_rad, double to_rad,
@@ -78,10 +88,10 @@ std::optional<double> time_of_move(const sim::PlantConfiguration& plant, double 
   Bench bench(plant, from_rad);
   const double sign = to_rad > from_rad ? 1.0 : -1.0;
   // Without force there is nothing to see of it but the place.
-  const double level_rad = *position_rad(plant.brake, level_N);
+  const double level_rad = *position_rad(plant, level_N);
   sim::Truth now = bench.now();
   for (int k = 0; k < 3000; ++k) {
-    bench.drive(move_torque(now, to_rad, at, plant.brake));
+    bench.drive(move_torque(now, to_rad, at, plant));
     const sim::Truth next = bench.now();
     if (sign * (next.position_rad - level_rad) >= 0.0) {
       // Constant acceleration within the period.
@@ -104,22 +114,22 @@ std::optional<double> time_of_move(const sim::PlantConfiguration& plant, double 
 double friction_at(const sim::PlantConfiguration& plant, double from_rad, double at_rad, double speed_rad_s) {
   Bench bench(plant, from_rad);
   const double sign = at_rad > from_rad ? 1.0 : -1.0;
-  const FixedParameters& fixed = plant.brake.fixed;
+  const double ratio_m_rad = plant.brake.fixed.ratio_m_rad * (1.0 + plant.effects.ratio_error);
+  const double inertia_kg_m2 = plant.brake.fixed.inertia_kg_m2 * (1.0 + plant.effects.inertia_error);
   double sum_Nm = 0.0, before_Nm = 0.0, before_rad = from_rad;
   sim::Truth now = bench.now();
   for (int k = 0; k < 20'000; ++k) {
     const double error = sign * speed_rad_s - now.velocity_rad_s;
     sum_Nm = std::clamp(sum_Nm + 0.02 * error, -0.5, 0.5);
     const double torque_Nm =
-        std::clamp(fixed.ratio_m_rad * now.force_N +
-                       sign * friction_Nm(plant.brake, now.force_N, speed_rad_s) + 0.2 * error + sum_Nm,
+        std::clamp(ratio_m_rad * now.force_N + sign * friction_Nm(plant, now.force_N, speed_rad_s, sign) +
+                       0.2 * error + sum_Nm,
                    -3.0, 3.0);
     bench.drive(torque_Nm);
     const sim::Truth next = bench.now();
     const double middle_rad = 0.5 * (now.position_rad + next.position_rad);
-    const double here_Nm =
-        sign * (torque_Nm - fixed.ratio_m_rad * 0.5 * (now.force_N + next.force_N) -
-                fixed.inertia_kg_m2 * (next.velocity_rad_s - now.velocity_rad_s) / kPeriod_s);
+    const double here_Nm = sign * (torque_Nm - ratio_m_rad * 0.5 * (now.force_N + next.force_N) -
+                                   inertia_kg_m2 * (next.velocity_rad_s - now.velocity_rad_s) / kPeriod_s);
     if (sign * (middle_rad - at_rad) >= 0.0)
       return before_Nm + (here_Nm - before_Nm) * (at_rad - before_rad) / (middle_rad - before_rad);
     before_Nm = here_Nm;
@@ -149,7 +159,7 @@ std::optional<double> measure(const Characteristic& characteristic, sim::PlantCo
   if (kind == "contact-point") return plant.encoder_zero_rad;
   if (kind == "clearance") return plant.clearance_rad;
   if (kind == "drag") return friction_at(plant, -25.0, -1.0, at.speed_rad_s);
-  const std::optional<double> x = position_rad(plant.brake, at.force_N);
+  const std::optional<double> x = position_rad(plant, at.force_N);
   if (!x) return std::nullopt;
   if (kind == "apply-time") return time_of_move(plant, -at.clearance_rad, *x, at.share * at.force_N, at);
   if (kind == "release-time") return time_of_move(plant, *x, -at.clearance_rad, at.share * at.force_N, at);

@@ -12,6 +12,7 @@
 #include <fmt/format.h>
 
 #include "clampd/experiment/reference.hpp"
+#include "clampd/identify/extended_identification.hpp"
 #include "clampd/identify/method.hpp"
 #include "clampd/identify/systematic_misfit.hpp"
 #include "clampd/record/run.hpp"
@@ -116,6 +117,17 @@ ParameterMatrix added_by_check(const std::vector<Run>& runs, const Estimate& est
   return by_tare + misfit.covariance_normalised;
 }
 
+/// The base model with the effect of this assignment, nothing known of its size.
+ExtendedParameters model_with(const std::string& assignment) {
+  const Effect* effect = find_effect(assignment.substr(0, assignment.find('=')));
+  if (effect == nullptr) throw std::invalid_argument("the catalogue does not have " + assignment);
+  EffectValues values{effect, {}};
+  for (const EffectParameter& parameter : info_of(*effect).parameters)
+    values.values.push_back(parameter.role == EffectParameter::Role::Strength ? parameter.neutral
+                                                                              : parameter.starts.front());
+  return {{}, {values}};
+}
+
 }  // namespace
 
 SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
@@ -149,7 +161,8 @@ SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
     }
     const Tare tare = tare_and_place(places, plant, *runs);
     const double found_rad = sim::SimulatedBrake(plant).sample().position_rad;
-    const Estimate estimate = identify_brake(options.method, *runs, {});
+    const Estimate estimate = options.is_known ? identify_extended(*runs, model_with(options.effect), {})
+                                               : identify_brake(options.method, *runs, {});
     if (!estimate.converged()) {
       ++campaign.not_identified;
       continue;

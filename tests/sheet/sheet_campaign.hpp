@@ -14,7 +14,8 @@ struct SheetCampaignOptions {
   std::uint64_t seed = 1;
   int repeats = 6;
   Method method = Method::OutputError;
-  std::string effect;  ///< "NAME=VALUE", which the model lacks; empty: none
+  std::string effect;     ///< "NAME=VALUE"; empty: none
+  bool is_known = false;  ///< the model has the effect, and the method is that of prediction errors
 };
 
 /// Of one characteristic over all brakes. Its limit is where a tenth of the brakes are beyond.

@@ -1,5 +1,6 @@
 // Does the sheet hold what the independent plant does? As many brakes as one likes:
-//   sheet_campaign [--brakes 2000] [--seed 1] [--repeats 6] [--method oem|pem] [--effect NAME=VALUE]
+//   sheet_campaign [--brakes 2000] [--seed 1] [--repeats 6] [--method oem|pem] [--effect NAME=VALUE [--known
+//   yes]]
 
 #include <cstdlib>
 #include <iostream>
@@ -22,6 +23,8 @@ int main(int argc, char** argv) {
       options.method = *clampd::parse_method(argv[i + 1]);
     else if (option == "--effect")
       options.effect = value;
+    else if (option == "--known")
+      options.is_known = value == "yes";
     else {
       std::cerr << "sheet_campaign: '" << option << ' ' << argv[i + 1]
                 << "' is not known; see the head of its source\n";

@@ -418,7 +418,7 @@ INSTANTIATE_TEST_SUITE_P(
         BadInput{"RunBadSheet", "run --serial A --config sheet_station.toml --json out.json",
                  "sheet.toml:4:6: drag is in N m"},
         BadInput{"RunSheetAndModel", "run --serial A --config sheet_model.toml --json out.json",
-                 "effects that it does not count"},
+                 "a sheet cannot count backlash"},
         BadInput{"IdentifyBadSheet", "identify word.csv --sheet sheet.toml --json out.json",
                  "sheet.toml:4:6: drag is in N m"},
         BadInput{"IdentifyNoFile", "identify nowhere.csv --json out.json", "nowhere.csv"},

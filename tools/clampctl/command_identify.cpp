@@ -264,6 +264,10 @@ int identify_files(IdentifyOptions options) {
   if (!options.sheet_file.empty()) {
     Result<Sheet> sheet = read_sheet(options.sheet_file);
     if (!sheet) return cli::refuse(sheet.error());
+    if (options.extended)
+      if (const Result<void> countable = check_countable(options.extended->effects); !countable)
+        return cli::refuse(Error{fmt::format("{}: {}: leave out one of --sheet and --model",
+                                             options.sheet_file, countable.error().message)});
     options.sheet = std::move(*sheet);
   }
   settings.loss = options.robust ? Loss::Robust : Loss::Squared;
@@ -374,7 +378,7 @@ void add_identify_command(CLI::App& app, int& exit_code) {
       ->type_name("FILE");
   command->add_option("--save", options->save, "of a drive: the model with what these runs say")
       ->type_name("FITTED.toml");
-  for (const char* other : {"--parameters", "--profile", "--robust", "--sheet"})
+  for (const char* other : {"--parameters", "--profile", "--robust"})
     command->get_option("--model")->excludes(command->get_option(other));
   command->callback([options, command, &exit_code] {
     if (const Result<std::string> text = read_file(options->model); text && is_drive_model(*text)) {

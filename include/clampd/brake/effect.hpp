@@ -72,6 +72,7 @@ struct EffectInfo {
   double free_state_deviation = 1e5;  ///< of their prior around that value
   /// Whether evidence pays for each as for a parameter; if not, they are drawn from their prior in each run.
   bool free_states_count = true;
+  bool differs_by_run = false;  ///< it makes another brake of each run
   /// May be named more than once, as a harmonic: its last parameter a multiple or part of the first one's.
   bool repeatable = false;
   /// Its one parameter is the zero of the reading that `location` names: of force and velocity as a tare sets it, of torque as the

@@ -7,6 +7,8 @@
 #include <string_view>
 #include <vector>
 
+#include <Eigen/Core>
+
 #include "clampd/base/parallel.hpp"
 #include "clampd/base/result.hpp"
 #include "clampd/parameters/brake_parameters.hpp"
@@ -111,6 +113,9 @@ struct Estimate {
   std::vector<double> run_force_rms_N;  ///< the same per run
   std::vector<double> run_velocity_rms_rad_s;
   std::vector<EffectEstimate> effects;  ///< of an extended model, in its order
+  /// Of theta / theta_nom, then of `effects`, each in its unit: THE uncertainty with effects. Zero where one
+  /// is held or a choice; empty without effects, and where not all are identifiable.
+  Eigen::MatrixXd covariance_with_effects;
 
   bool converged() const { return termination == Termination::Converged; }
 };

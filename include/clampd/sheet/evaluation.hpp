@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include <Eigen/Core>
+
 #include "clampd/identify/contact_point.hpp"
 #include "clampd/identify/estimate.hpp"
 #include "clampd/parameters/brake_parameters.hpp"
@@ -15,6 +17,10 @@ namespace clampd {
 /// What is known of a brake when its runs have been identified.
 struct Posterior {
   BrakeParameters parameters;  ///< NaN: not identifiable
+  /// Those of an extended model that change the brake itself.
+  std::vector<EffectValues> effects = {};
+  /// Of theta / theta_nom, then of all parameters of `effects`, each in its unit; empty without effects.
+  Eigen::MatrixXd covariance_with_effects = {};
   /// Of theta / theta_nom: what the identification reports, and all that is added to it (tare, misfit). NaN
   /// where it is not known, zero of a parameter that was held.
   ParameterMatrix covariance_normalised = ParameterMatrix::Zero();
@@ -26,11 +32,12 @@ struct Posterior {
   std::optional<double> found_rad = {};
 };
 
-/// Of an estimate; `added_normalised` counts beside its own covariance. Nothing is known without
-/// convergence, unless single parameters are not identifiable; and nothing of a brake with effects beside
-/// the base model, which no characteristic counts.
+/// Of an estimate; `added_normalised` counts beside its own covariance, and what a tare with these standard
+/// deviations (N, rad/s) adds to that of effects. Nothing is known without convergence, unless single
+/// parameters are not identifiable; and nothing with effects that check_countable() refuses.
 Posterior posterior_of(const Estimate& estimate,
-                       const ParameterMatrix& added_normalised = ParameterMatrix::Zero());
+                       const ParameterMatrix& added_normalised = ParameterMatrix::Zero(),
+                       const Eigen::Vector2d& tare_sd = Eigen::Vector2d::Zero());
 
 struct CharacteristicEstimate {
   enum class State {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "clampd/base/result.hpp"
+#include "clampd/brake/extended_brake.hpp"
 #include "clampd/control/nominal_drive.hpp"
 #include "clampd/parameters/brake_parameters.hpp"
 #include "clampd/record/check_record.hpp"
@@ -33,6 +34,8 @@ struct CircumstanceInfo {
   bool required;
 };
 
+class MeasuredBrake;
+
 /// A figure that a requirement sheet asks of a brake, in closed form or by simulation, or as its
 /// encoder reads it.
 struct CharacteristicKind {
@@ -50,10 +53,21 @@ struct CharacteristicKind {
                                  const NominalDrive& drive);
   bool from_where_found =
       false;  ///< the contact point less the encoder's reading when the check found the brake
+  /// The same as `value` of a brake with effects beside the base model, which is put on a test bench for it.
+  std::optional<double> (*measured)(const MeasuredBrake& brake, const Circumstances& circumstances,
+                                    const NominalDrive& drive) = nullptr;
 };
 
 /// THE table of kinds.
 std::span<const CharacteristicKind> characteristic_kinds();
+
+/// Whether an effect changes the brake itself, and with it what a sheet asks for; the others are in the
+/// station's readings.
+bool changes_brake(const EffectInfo& effect);
+
+/// Error: a model has an effect with which the brake's own figures depend on its past, its place or its run,
+/// so that the circumstances of a characteristic do not say what is meant.
+Result<void> check_countable(std::span<const EffectValues> effects);
 
 /// One line of the sheet.
 struct Characteristic {

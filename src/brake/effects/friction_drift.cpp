@@ -29,7 +29,8 @@ class FrictionDrift final : public EquationsOf<FrictionDrift> {
                         .upper = 1e4,
                         .scale = 0.3,
                         .logarithmic = true,
-                        .starts = {3, 15, 1000}}}};
+                        .starts = {3, 15, 1000}}},
+        .differs_by_run = true};
     return kInfo;
   }
   std::string in_words(std::span<const double> values, std::span<const double> sds, double) const override {
