@@ -126,6 +126,7 @@ std::optional<SystematicRecord> add_estimate(const Estimate& joint, const std::v
   std::vector<std::uint8_t> motions;
   for (const RunRecord& record : records) motions.push_back(record.trajectory);
   std::optional<SystematicRecord> systematic = count_misfit(joint, runs, motions, facts.sd, added);
+  facts.misfit_counts = systematic && systematic->marked;
   const ExpectedResidual expected =
       expected_residual(reading.tare, records, reading.model, reading.torque_noise_Nm);
   facts.effects = with_tare_sd(joint.effects, reading.tare);

@@ -348,10 +348,11 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   record.parameters = std::move(judgement.parameters);
   if (record.sheet) {
     record.sheet->characteristics = std::move(judgement.characteristics);
-    record.sheet->misfit_marked = record.systematic && record.systematic->marked;
+    record.sheet->misfit_marked = facts.misfit_counts;
   }
-  if (judgement.undecided && is_by_output_errors()) record.reason += advice_on_method(record, facts.sd);
-  if (record.systematic && record.systematic->marked && is_about_the_brake(record.verdict))
+  if (judgement.undecided && !facts.misfit_counts && is_by_output_errors())
+    record.reason += advice_on_method(record, facts.sd);
+  if (facts.misfit_counts && is_about_the_brake(record.verdict))
     record.reason += fmt::format(
         " Note: the model does not explain all of this brake's motion, and a parameter may be off by up to "
         "{:.2g} standard deviations of its noise; the uncertainties count it. `clampctl results {} --runs "
@@ -362,6 +363,8 @@ CheckRecord CheckSession::finish(CheckOutcome outcome) {
   if (judgement.unexplained && name_cause(record) && !record.cause && facts.other_method.empty())
     record.reason +=
         " A diagnosis finds no cause but noise: is validity.torque_noise_Nm too low, or do the runs differ?";
+  // By the brake's motion alone it might have been judged, but for what the model lacks.
+  if (judgement.undecided && facts.misfit_counts && record.verdict == Verdict::Error) name_cause(record);
   // An extended model already knows what is wrong with the readings.
   if (record.verdict == Verdict::Fail && configuration_.check.model.empty()) question_failure(record);
   return record;

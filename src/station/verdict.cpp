@@ -219,9 +219,12 @@ Judgement judge(const CheckFacts& facts, const LimitSet& limits, const ValidityS
   if (any(fails)) return decide(Verdict::Fail, false, describe_all(parameters, fails) + ".");
   if (any(undecidable)) {
     const ParameterRecord& worst = std::find_if(parameters.begin(), parameters.end(), undecidable)->record;
-    return decide(Verdict::Error, false,
-                  fmt::format("{} is too uncertain to be judged (± {:.2g} {}): more repeats, or less noise.",
-                              worst.name, worst.sd, worst.unit));
+    return decide(
+        Verdict::Error, false,
+        fmt::format("{} is too uncertain to be judged (± {:.2g} {}): {}.", worst.name, worst.sd, worst.unit,
+                    facts.misfit_counts
+                        ? "the model does not explain all of this brake's motion, which counts in it"
+                        : "more repeats, or less noise"));
   }
   if (any(marginal_outside))
     return decide(Verdict::Fail, true,

@@ -195,6 +195,19 @@ TEST(EmbeddedStation, ABrakeThatItsModelDoesNotExplainIsNoFail) {
   EXPECT_EQ(check_json(record).at("cause").at("effect"), "force-lag");
 }
 
+// Its drag takes so much of TC's place that TC is in doubt, though the runs are explained to a few percent of
+// the noise. Neither more repeats nor another method would help.
+TEST(EmbeddedStation, WhatTheModelLacksIsNamedWhereItLeavesALimitInDoubt) {
+  sim::PlantConfiguration brake = plant(1);
+  ASSERT_TRUE(sim::set_effect(brake.effects, "quadratic-drag", 2e-6));
+  const CheckRecord record = check(brake, 8);
+  EXPECT_EQ(record.verdict, Verdict::Error);
+  EXPECT_THAT(record.reason, HasSubstr("does not explain all of this brake's motion"));
+  EXPECT_THAT(record.reason, ::testing::Not(HasSubstr("method")));
+  ASSERT_TRUE(record.cause) << record.reason;
+  EXPECT_THAT(record.cause->effects, ::testing::ElementsAre("quadratic-drag"));
+}
+
 TEST(CheckConductor, ConcludesBesideItsCalls) {
   sim::PlantConfiguration configured = plant(1);
   ASSERT_TRUE(sim::set_effect(configured.effects, "force-lag", 0.012));

@@ -11,7 +11,9 @@
 namespace clampd {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 CheckFacts good_facts() {
   CheckFacts facts;
@@ -197,6 +199,12 @@ TEST(Judge, AnUncertaintyThatCouldNeverPassIsTheStationsFault) {
   const Judgement judgement = judged(facts);
   EXPECT_EQ(judgement.verdict, Verdict::Error);
   EXPECT_THAT(judgement.reason, HasSubstr("k2 is too uncertain"));
+  EXPECT_THAT(judgement.reason, HasSubstr("more repeats, or less noise."));
+  // More repeats would not help there.
+  facts.misfit_counts = true;
+  EXPECT_THAT(judged(facts).reason, AllOf(HasSubstr("k2 is too uncertain"),
+                                          HasSubstr("does not explain all of this brake's motion"),
+                                          Not(HasSubstr("more repeats"))));
 }
 
 LimitSet with_play_limits(double lower = 0.0, double upper = 0.3) {

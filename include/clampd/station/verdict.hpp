@@ -45,6 +45,8 @@ struct CheckFacts {
   std::vector<EffectEstimate> effects;  ///< of an extended model, their sd with the tare's part
   double misfit_force = 0.0;            ///< residual rms over what the known noise explains
   double misfit_velocity = 0.0;
+  bool misfit_counts =
+      false;  ///< in `sd`: what the runs show that the model lacks (SystematicRecord::marked)
   /// The sheet's lines as judge_sheet() has them; none where there is no estimate or no sheet.
   std::vector<CharacteristicRecord> characteristics;
   std::optional<GuardBands> guard_bands;  ///< nothing: those of the limits, for a fixed number of repeats
