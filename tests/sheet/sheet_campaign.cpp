@@ -168,9 +168,9 @@ SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
       continue;
     }
     ++campaign.brakes;
-    const auto begin = std::chrono::steady_clock::now();
     const int marked_before = campaign.marked;
     const ParameterMatrix added = added_by_check(*runs, estimate, tare, campaign.marked);
+    const auto begin = std::chrono::steady_clock::now();
     const std::vector<CharacteristicEstimate> sheet =
         evaluate(lines, posterior_of_check(estimate, added, *runs, tare, found_rad), {});
     campaign.evaluation_s =

@@ -49,8 +49,8 @@ inline constexpr std::size_t kFewestRepeats = 4;
 /// The parts of the trajectory then contradict each other about theta. What all of them answer by the same
 /// wrong theta is not seen, so it bounds the error from below.
 ///
-/// *What a known effect makes of the runs* (src/identify/effect_misfit.hpp), which sees effects of a fifth of
-/// the size, and knows how far each moves the parameters; it knows nothing of what is not in the catalogue.
+/// *What a known effect makes of the runs* (src/identify/effect_misfit.hpp), which sees smaller effects and
+/// knows how far each moves the parameters; it knows nothing of what is not in the catalogue.
 ///
 /// Not to be told (can_tell false): fewer than kFewestRepeats runs, an estimate that has not converged or
 /// with effects beside the base model, a model that leaves all bounds. The first test needs repeats of the
