@@ -283,16 +283,19 @@ class CodecBuilder {
     return failure(fmt::format("{}", fmt::join(problems, "\n")));
   }
 
+  static bool has_one_of(const Message& message, const std::vector<std::string>& names) {
+    const auto own = own_name(message, names);
+    return !own || message.find_signal(*own) != nullptr;
+  }
+
   /// One name for all messages is looked for in each of them.
   static bool is_chosen_among_messages(const std::string& name, std::size_t names) {
     return names > 1 || name.find('.') != std::string::npos;
   }
 
   bool is_in_a_message(const std::string& name) const {
-    return std::any_of(database_.messages.begin(), database_.messages.end(), [&](const Message& message) {
-      const auto own = own_name(message, {name});
-      return own && message.find_signal(*own) != nullptr;
-    });
+    return std::any_of(database_.messages.begin(), database_.messages.end(),
+                       [&](const Message& message) { return has_one_of(message, {name}); });
   }
 
   template <class Units>
@@ -495,12 +498,8 @@ class CodecBuilder {
                                  request.message));
     // Such frames seldom have the counter and the checksum that the cyclic ones have.
     ProtocolMapping own = mapping_;
-    const auto has = [&](const std::vector<std::string>& names) {
-      const auto name = own_name(*message, names);
-      return !name || message->find_signal(*name) != nullptr;
-    };
-    if (!has(own.counter)) own.counter.clear();
-    if (!has(own.crc)) {
+    if (!has_one_of(*message, own.counter)) own.counter.clear();
+    if (!has_one_of(*message, own.crc)) {
       own.crc.clear();
       own.protection.checksum = Checksum::None;
     }

@@ -95,12 +95,11 @@ double weigh_evidence(std::vector<StrengthScore>& strengths, double degrees_of_o
   return degrees;
 }
 
-/// As the estimate's own method has it: the noise of the torque is none for output errors.
-ExtendedEstimate as_estimated(const Estimate& joint) {
+ExtendedEstimate as_estimated(const Estimate& joint, const NoiseLevels& noise) {
   ExtendedEstimate estimate;
+  estimate.possible = true;
   estimate.parameters.base = joint.parameters;
-  estimate.noise = {{joint.noise_force_N, joint.noise_velocity_rad_s},
-                    joint.method == Method::PredictionError ? joint.noise_torque_Nm : 0.0};
+  estimate.noise = noise;
   for (const Eigen::Vector2d& initial : joint.initial_states) estimate.initial_states.emplace_back(initial);
   return estimate;
 }
@@ -108,7 +107,7 @@ ExtendedEstimate as_estimated(const Estimate& joint) {
 /// The mean square of what the strengths that may be the cause do to the estimate; nothing where the
 /// estimate's filter does not stay bounded beside them.
 std::optional<ParameterMatrix> moved_by(std::span<const StrengthScore> strengths, double most,
-                                        std::span<const FitRun> runs, const Estimate& joint,
+                                        std::span<const FitRun> runs, const ExtendedEstimate& estimate,
                                         const Held& held) {
   std::vector<EffectDirection> directions;
   std::vector<double> squares, weights;
@@ -123,7 +122,7 @@ std::optional<ParameterMatrix> moved_by(std::span<const StrengthScore> strengths
   }
   const std::vector<EffectValues> effects = effects_of(directions);
   const std::vector<Eigen::Index> places = places_of(directions, effects);
-  const ParameterScores found = score_parameters(runs, as_estimated(joint), effects);
+  const ParameterScores found = score_parameters(runs, estimate, effects);
   if (!found.possible) return std::nullopt;
   std::vector<Eigen::Index> free;
   for (Eigen::Index i = 0; i < kBase; ++i)
@@ -143,13 +142,15 @@ std::optional<ParameterMatrix> moved_by(std::span<const StrengthScore> strengths
 
 }  // namespace
 
-EffectMisfit effect_misfit(std::span<const Run> runs, const Estimate& joint, const Held& held) {
+EffectMisfit effect_misfit(std::span<const Run> runs, const Estimate& joint, const Held& held,
+                           const NoiseLevels& noise) {
   EffectMisfit misfit;
   if (runs.size() < kFewestRepeats) return misfit;
   const bool is_fitted = joint.method == Method::PredictionError &&
                          std::none_of(held.begin(), held.end(), [](bool is_held) { return is_held; });
-  const ExtendedEstimate base = is_fitted ? as_estimated(joint) : fit_base(runs, joint.parameters);
-  if (!is_fitted && !base.possible) return misfit;
+  const ExtendedEstimate estimate = as_estimated(joint, noise);
+  const ExtendedEstimate base = is_fitted ? estimate : fit_base(runs, joint.parameters);
+  if (!base.possible) return misfit;
   const std::vector<EffectDirection> directions = effects_with_strengths();
   const std::vector<EffectValues> effects = effects_of(directions);
   const std::vector<FitRun> fit = fit_runs(runs);
@@ -163,7 +164,9 @@ EffectMisfit effect_misfit(std::span<const Run> runs, const Estimate& joint, con
   misfit.can_tell = true;
   misfit.p_value =
       std::min(1.0, static_cast<double>(strengths.size()) * statistics::fisher_f_p_value(most, 1.0, degrees));
-  if (const auto moved = moved_by(strengths, most, fit, joint, held)) misfit.covariance_normalised = *moved;
+  if (!(misfit.p_value < kSystematic)) return misfit;
+  if (const auto moved = moved_by(strengths, most, fit, estimate, held))
+    misfit.covariance_normalised = *moved;
   return misfit;
 }
 

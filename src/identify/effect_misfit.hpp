@@ -3,6 +3,7 @@
 #include <span>
 
 #include "clampd/identify/estimate.hpp"
+#include "clampd/identify/information.hpp"
 #include "clampd/record/run.hpp"
 #include "src/identify/joint_normal.hpp"
 
@@ -12,7 +13,8 @@ namespace clampd::identify {
 struct EffectMisfit {
   bool can_tell = false;
   double p_value = 1.0;  ///< chance that noise alone shows as much of any of them
-  /// What the effect does to the estimate of theta / theta_nom, as a covariance about it.
+  /// What the effect does to the estimate of theta / theta_nom, as a covariance about it; zero unless that
+  /// chance is below kSystematic.
   ParameterMatrix covariance_normalised = ParameterMatrix::Zero();
 };
 
@@ -30,6 +32,9 @@ struct EffectMisfit {
 /// linear only while they are small.
 ///
 /// Not to be told (can_tell false): fewer than kFewestRepeats runs, or runs that no base model fits.
-EffectMisfit effect_misfit(std::span<const Run> runs, const Estimate& joint, const Held& held);
+///
+/// `held`: parameters that did not move; `noise`: by which the estimate's own method weighs the residuals.
+EffectMisfit effect_misfit(std::span<const Run> runs, const Estimate& joint, const Held& held,
+                           const NoiseLevels& noise);
 
 }  // namespace clampd::identify

@@ -108,9 +108,10 @@ void test_mean(const Eigen::MatrixXd& columns, SystematicMisfit& misfit) {
   misfit.can_tell = std::isfinite(misfit.p_value);
 }
 
-/// What repeats have in common, and the jackknife over stretches. `held`: parameters that did not move.
+/// What repeats have in common; where that is significant, the jackknife over stretches. `held`: parameters
+/// that did not move; `noise`: by which the estimate's own method weighs the residuals.
 SystematicMisfit misfit_of_repeats(std::span<const Run> runs, const Estimate& joint, const Held& held,
-                                   std::span<const std::uint8_t> motions) {
+                                   const NoiseLevels& noise, std::span<const std::uint8_t> motions) {
   SystematicMisfit misfit;
   std::vector<std::size_t> alike;
   for (std::size_t r = 0; r < runs.size(); ++r)
@@ -119,8 +120,6 @@ SystematicMisfit misfit_of_repeats(std::span<const Run> runs, const Estimate& jo
         return runs[r].size() != runs[0].size();
       }))
     return misfit;
-  const NoiseLevels noise{{joint.noise_force_N, joint.noise_velocity_rad_s},
-                          joint.method == Method::PredictionError ? joint.noise_torque_Nm : 0.0};
 
   const auto repeats = static_cast<Eigen::Index>(alike.size());
   const auto readings = static_cast<Eigen::Index>(2 * runs[0].size());
@@ -146,7 +145,7 @@ SystematicMisfit misfit_of_repeats(std::span<const Run> runs, const Estimate& jo
   Eigen::MatrixXd blocks(in_blocks(left.col(0)).size(), repeats);
   for (Eigen::Index r = 0; r < repeats; ++r) blocks.col(r) = in_blocks(left.col(r));
   test_mean(blocks, misfit);
-  if (!misfit.can_tell) return misfit;
+  if (!misfit.is_significant()) return misfit;
 
   const Eigen::VectorXd common = residuals.rowwise().mean();
   ParameterMatrix information = by_theta * by_theta.transpose();
@@ -183,8 +182,10 @@ SystematicMisfit systematic_misfit(std::span<const Run> runs, const Estimate& jo
     const auto k = static_cast<Eigen::Index>(i);
     held[i] = joint.covariance_normalised(k, k) == 0.0;
   }
-  const SystematicMisfit of_repeats = misfit_of_repeats(runs, joint, held, motions);
-  const EffectMisfit of_effects = effect_misfit(runs, joint, held);
+  const NoiseLevels noise{{joint.noise_force_N, joint.noise_velocity_rad_s},
+                          joint.method == Method::PredictionError ? joint.noise_torque_Nm : 0.0};
+  const SystematicMisfit of_repeats = misfit_of_repeats(runs, joint, held, noise, motions);
+  const EffectMisfit of_effects = effect_misfit(runs, joint, held, noise);
   SystematicMisfit misfit{.can_tell = of_repeats.can_tell || of_effects.can_tell,
                           .over_noise = of_repeats.over_noise};
   const double tests = of_repeats.can_tell && of_effects.can_tell ? 2.0 : 1.0;

@@ -47,19 +47,26 @@ std::optional<double> least_torque_Nm(const BrakeParameters& parameters, const C
          parameters.fixed.ratio_m_rad * at.force_N;
 }
 
-/// Between the open position and that of the set point, up to a share of its force.
+/// Between the open position and that of the set point, up to a share of its force. `position_of`: where a
+/// brake has a force; `time_of`: how long it takes for a move.
+template <class PositionOf, class TimeOf>
+std::optional<double> time_between_s(const Circumstances& at, bool applies, const PositionOf& position_of,
+                                     const TimeOf& time_of) {
+  const std::optional<double> set_point = position_of(at.force_N);
+  if (!set_point) return std::nullopt;
+  return time_of(Move{.from_rad = applies ? -at.clearance_rad : *set_point,
+                      .to_rad = applies ? *set_point : -at.clearance_rad,
+                      .level_rad = position_of(at.share * at.force_N).value(),
+                      .torque_limit_Nm = at.torque_limit_Nm,
+                      .speed_limit_rad_s = at.speed_limit_rad_s});
+}
+
 std::optional<double> time_s(const BrakeParameters& parameters, const Circumstances& at,
                              const NominalDrive& drive, bool applies) {
   const PaperBrake brake = paper_brake(parameters);
-  const std::optional<double> set_point = position_of_force(brake, at.force_N);
-  if (!set_point) return std::nullopt;
-  return move_time_s(brake,
-                     {.from_rad = applies ? -at.clearance_rad : *set_point,
-                      .to_rad = applies ? *set_point : -at.clearance_rad,
-                      .level_rad = position_of_force(brake, at.share * at.force_N).value(),
-                      .torque_limit_Nm = at.torque_limit_Nm,
-                      .speed_limit_rad_s = at.speed_limit_rad_s},
-                     drive);
+  return time_between_s(
+      at, applies, [&](double force_N) { return position_of_force(brake, force_N); },
+      [&](const Move& move) { return move_time_s(brake, move, drive); });
 }
 
 std::optional<double> apply_time_s(const BrakeParameters& parameters, const Circumstances& at,
@@ -112,14 +119,9 @@ std::optional<double> measured_least_torque(const MeasuredBrake& brake, const Ci
 
 std::optional<double> measured_time(const MeasuredBrake& brake, const Circumstances& at,
                                     const NominalDrive& drive, bool applies) {
-  const std::optional<double> set_point = brake.position_of_force(at.force_N);
-  if (!set_point) return std::nullopt;
-  return brake.move_time_s({.from_rad = applies ? -at.clearance_rad : *set_point,
-                            .to_rad = applies ? *set_point : -at.clearance_rad,
-                            .level_rad = brake.position_of_force(at.share * at.force_N).value(),
-                            .torque_limit_Nm = at.torque_limit_Nm,
-                            .speed_limit_rad_s = at.speed_limit_rad_s},
-                           drive);
+  return time_between_s(
+      at, applies, [&](double force_N) { return brake.position_of_force(force_N); },
+      [&](const Move& move) { return brake.move_time_s(move, drive); });
 }
 
 std::optional<double> measured_apply_time(const MeasuredBrake& brake, const Circumstances& at,
@@ -237,10 +239,6 @@ std::span<const CharacteristicKind> characteristic_kinds() {
        true},
   };
   return kKinds;
-}
-
-bool changes_brake(const EffectInfo& effect) {
-  return effect.location == Location::TorqueBalance || effect.location == Location::Stiffness;
 }
 
 Result<void> check_countable(std::span<const EffectValues> effects) {

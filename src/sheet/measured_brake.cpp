@@ -58,11 +58,7 @@ std::optional<double> MeasuredBrake::position_of_force(double wanted_N) const {
     if (high > kTravel_rad || here_N < before_N) return std::nullopt;
     before_N = here_N;
   }
-  for (int i = 0; i < kHalvings; ++i) {
-    const double middle = 0.5 * (low + high);
-    (force_N(middle, 0.0) < wanted_N ? low : high) = middle;
-  }
-  return 0.5 * (low + high);
+  return turning_point(low, high, [&](double x) { return force_N(x, 0.0) < wanted_N; });
 }
 
 double MeasuredBrake::slope_N_rad(double position_rad) const {
@@ -80,13 +76,10 @@ double MeasuredBrake::torque_Nm(double position_rad, double velocity_rad_s) cons
 }
 
 double MeasuredBrake::breakaway_Nm(double position_rad, double direction) const {
-  double stays = -kMostTorque_Nm * direction, goes = kMostTorque_Nm * direction;
-  for (int i = 0; i < kHalvings; ++i) {
-    const double middle = 0.5 * (stays + goes);
-    const ExtendedBrake::State next = brake_.advance(state(position_rad, 0.0), held(middle, kPeriod_s));
-    (direction * (next[0] - position_rad) > 0.0 ? goes : stays) = middle;
-  }
-  return 0.5 * (stays + goes);
+  return turning_point(-kMostTorque_Nm * direction, kMostTorque_Nm * direction, [&](double torque_Nm) {
+    const ExtendedBrake::State next = brake_.advance(state(position_rad, 0.0), held(torque_Nm, kPeriod_s));
+    return !(direction * (next[0] - position_rad) > 0.0);
+  });
 }
 
 double MeasuredBrake::commanded_Nm(const ExtendedBrake::State& now, const Move& move,
@@ -108,18 +101,13 @@ double MeasuredBrake::commanded_Nm(const ExtendedBrake::State& now, const Move& 
 }
 
 std::optional<double> MeasuredBrake::move_time_s(const Move& move, const NominalDrive& drive) const {
-  const double direction = move.to_rad > move.from_rad ? 1.0 : -1.0;
-  ExtendedBrake::State now = state(move.from_rad, 0.0);
-  for (int k = 0; k * drive.period_s < kLongestMove_s; ++k) {
-    const ExtendedBrake::State next =
-        brake_.advance(now, held(commanded_Nm(now, move, drive), drive.period_s));
-    if (!ExtendedBrake::is_bounded(next)) return std::nullopt;
-    if (direction * (next[0] - move.level_rad) >= 0.0)
-      return (k + passing_share(now.head<2>(), next.head<2>(), move.level_rad, drive.period_s)) *
-             drive.period_s;
-    now = next;
-  }
-  return std::nullopt;
+  return walk_time_s(state(move.from_rad, 0.0), move, drive.period_s,
+                     [&](const ExtendedBrake::State& now) -> std::optional<ExtendedBrake::State> {
+                       const ExtendedBrake::State next =
+                           brake_.advance(now, held(commanded_Nm(now, move, drive), drive.period_s));
+                       if (!ExtendedBrake::is_bounded(next)) return std::nullopt;
+                       return next;
+                     });
 }
 
 }  // namespace clampd

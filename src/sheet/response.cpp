@@ -29,42 +29,28 @@ double passing_share(const BrakeState& before, const BrakeState& after, double l
     return t * t * ((1.0 + 2.0 * s) * before[0] + s * period_s * before[1]) +
            s * s * ((1.0 + 2.0 * t) * after[0] - t * period_s * after[1]);
   };
-  double low = 0.0, high = 1.0;
-  for (int i = 0; i < kHalvings; ++i) {
-    const double middle = 0.5 * (low + high);
-    (direction * (position_rad(middle) - level_rad) < 0.0 ? low : high) = middle;
-  }
-  return 0.5 * (low + high);
+  return turning_point(0.0, 1.0, [&](double s) { return direction * (position_rad(s) - level_rad) < 0.0; });
 }
 
 std::optional<double> move_time_s(const PaperBrake& brake, const Move& move, const NominalDrive& drive) {
-  const double period_s = drive.period_s;
-  const double direction = move.to_rad > move.from_rad ? 1.0 : -1.0;
-  BrakeState state(move.from_rad, 0.0);
-  for (int k = 0; k * period_s < kLongestMove_s; ++k) {
-    const BrakeState next = advance_over(brake, state, commanded_Nm(brake, state, move, drive), period_s);
-    if (!is_bounded(next)) return std::nullopt;
-    if (direction * (next[0] - move.level_rad) >= 0.0)
-      return (k + passing_share(state, next, move.level_rad, period_s)) * period_s;
-    state = next;
-  }
-  return std::nullopt;
+  return walk_time_s(BrakeState(move.from_rad, 0.0), move, drive.period_s,
+                     [&](const BrakeState& now) -> std::optional<BrakeState> {
+                       const BrakeState next =
+                           advance_over(brake, now, commanded_Nm(brake, now, move, drive), drive.period_s);
+                       if (!is_bounded(next)) return std::nullopt;
+                       return next;
+                     });
 }
 
 std::optional<double> position_of_force(const PaperBrake& brake, double force_N) {
   if (force_N <= 0.0) return 0.0;
   const PolynomialStiffness& stiffness = brake.stiffness();
   // Where the polynomial turns over, it has its most; without that, it grows beyond any force.
-  double high = stiffness.cubic_N_rad3 < 0.0
-                    ? -2.0 * stiffness.quadratic_N_rad2 / (3.0 * stiffness.cubic_N_rad3)
-                    : std::sqrt(force_N / stiffness.quadratic_N_rad2);
+  const double high = stiffness.cubic_N_rad3 < 0.0
+                          ? -2.0 * stiffness.quadratic_N_rad2 / (3.0 * stiffness.cubic_N_rad3)
+                          : std::sqrt(force_N / stiffness.quadratic_N_rad2);
   if (!(stiffness.force_N(high) >= force_N)) return std::nullopt;
-  double low = 0.0;
-  for (int i = 0; i < kHalvings; ++i) {
-    const double middle = 0.5 * (low + high);
-    (stiffness.force_N(middle) < force_N ? low : high) = middle;
-  }
-  return 0.5 * (low + high);
+  return turning_point(0.0, high, [&](double x) { return stiffness.force_N(x) < force_N; });
 }
 
 }  // namespace clampd

@@ -42,9 +42,7 @@ bool is_in_the_readings(const Diagnosis& diagnosis) {
     return false;
   const auto of_the_brake = [](std::string_view name) {
     const Effect* effect = find_effect(name);
-    if (effect == nullptr) return true;
-    const Location location = info_of(*effect).location;
-    return location == Location::TorqueBalance || location == Location::Stiffness;
+    return effect == nullptr || changes_brake(info_of(*effect));
   };
   return std::none_of(diagnosis.effects.begin(), diagnosis.effects.end(),
                       [&](const NamedEffect& effect) { return of_the_brake(effect.name); }) &&

@@ -13,6 +13,7 @@
 #include "clampd/simulation/simulate.hpp"
 #include "drivers/sim/effects.hpp"
 #include "support/drawn_brake.hpp"
+#include "support/drawn_plant.hpp"
 #include "support/excitation.hpp"
 #include "tests/identify/noisy_brake.hpp"
 
@@ -37,12 +38,7 @@ class Runs {
 
   std::optional<std::vector<Run>> of(const BrakeParameters& brake, const NoiseLevels& noise, Draws& draws) {
     if (options_.bench != Bench::Reference) {
-      sim::PlantConfiguration plant = plant_;
-      plant.brake = brake;
-      plant.seed = draws.generator()();
-      plant.sensors.force_noise_N = noise.sensors.force_N;
-      plant.sensors.velocity_noise_rad_s = noise.sensors.velocity_rad_s;
-      plant.sensors.torque_noise_Nm = noise.torque_Nm;
+      const sim::PlantConfiguration plant = plant_with(plant_, brake, noise, draws.generator()());
       auto runs = simulate_manoeuvre(plant, reference_, {}, static_cast<std::uint16_t>(options_.repeats));
       if (!runs) return std::nullopt;
       return std::move(*runs);

@@ -12,6 +12,7 @@
 #include "clampd/simulation/simulate.hpp"
 #include "drivers/sim/simulated_brake.hpp"
 #include "tests/support/drawn_brake.hpp"
+#include "tests/support/drawn_plant.hpp"
 
 namespace clampd {
 namespace {
@@ -27,16 +28,13 @@ std::vector<Driven> driven(std::uint64_t seed, int brakes, int repeats, const st
   const std::string configs = std::string(CLAMPD_SOURCE_DIR) + "/configs/";
   const Reference reference = build_reference(read_run(configs + "trajectory.csv").value().run, {}).value();
   support::Draws draws(seed);
+  sim::PlantConfiguration shipped = sim::read_plant_configuration(configs + "plant.toml").value();
+  EXPECT_TRUE(effect.empty() || sim::set_effect(shipped.effects, effect));
   std::vector<Driven> all;
   for (int i = 0; i < brakes; ++i) {
-    sim::PlantConfiguration plant = sim::read_plant_configuration(configs + "plant.toml").value();
-    EXPECT_TRUE(effect.empty() || sim::set_effect(plant.effects, effect));
-    plant.brake = draws.brake();
+    const BrakeParameters brake = draws.brake();
     const NoiseLevels noise = draws.noise();
-    plant.sensors.force_noise_N = noise.sensors.force_N;
-    plant.sensors.velocity_noise_rad_s = noise.sensors.velocity_rad_s;
-    plant.sensors.torque_noise_Nm = noise.torque_Nm;
-    plant.seed = draws.generator()();
+    const sim::PlantConfiguration plant = support::plant_with(shipped, brake, noise, draws.generator()());
     all.push_back({plant.brake, plant.sensors,
                    simulate_manoeuvre(plant, reference, {}, static_cast<std::uint16_t>(repeats)).value()});
   }

@@ -24,6 +24,7 @@
 #include "drivers/sim/simulated_brake.hpp"
 #include "tests/sheet/plant_measurement.hpp"
 #include "tests/support/drawn_brake.hpp"
+#include "tests/support/drawn_plant.hpp"
 
 namespace clampd::support {
 namespace {
@@ -145,13 +146,9 @@ SheetCampaign run_sheet_campaign(const SheetCampaignOptions& options) {
         {.name = line.name, .limit = std::isfinite(line.lower) ? line.lower : line.upper});
   Draws draws(options.seed), places(options.seed + 1000);
   for (int i = 0; i < options.brakes; ++i) {
-    sim::PlantConfiguration plant = shipped;
-    plant.brake = draws.brake();
+    const BrakeParameters brake = draws.brake();
     const NoiseLevels noise = draws.noise();
-    plant.sensors.force_noise_N = noise.sensors.force_N;
-    plant.sensors.velocity_noise_rad_s = noise.sensors.velocity_rad_s;
-    plant.sensors.torque_noise_Nm = noise.torque_Nm;
-    plant.seed = draws.generator()();
+    sim::PlantConfiguration plant = plant_with(shipped, brake, noise, draws.generator()());
     draw_place(places, plant);
     Result<std::vector<Run>> runs =
         simulate_manoeuvre(plant, reference, {}, static_cast<std::uint16_t>(options.repeats));

@@ -97,6 +97,11 @@ class Effect;
 /// and one line in catalogue.inc there.
 std::span<const Effect* const> effects();
 
+/// Whether an effect changes the brake itself; the others are in how the station reads it.
+inline bool changes_brake(const EffectInfo& effect) {
+  return effect.location == Location::TorqueBalance || effect.location == Location::Stiffness;
+}
+
 /// Null if there is none of that name.
 const Effect* find_effect(std::string_view name);
 

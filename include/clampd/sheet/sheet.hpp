@@ -61,10 +61,6 @@ struct CharacteristicKind {
 /// THE table of kinds.
 std::span<const CharacteristicKind> characteristic_kinds();
 
-/// Whether an effect changes the brake itself, and with it what a sheet asks for; the others are in the
-/// station's readings.
-bool changes_brake(const EffectInfo& effect);
-
 /// Error: a model has an effect with which the brake's own figures depend on its past, its place or its run,
 /// so that the circumstances of a characteristic do not say what is meant.
 Result<void> check_countable(std::span<const EffectValues> effects);
